@@ -207,7 +207,9 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any], done: Sequence[int] | No
         raise InputError(f"{folder}: exists and holds something else, expected a new folder for the results")
     known = results.load_json(note)
     known = (
-        {k: v for k, v in known.items() if k not in (results.SEEN, results.OTHERS)} if isinstance(known, dict) else {}
+        {k: v for k, v in known.items() if k not in (results.EXPOSURE_SEEN_KEY, results.OTHER_DETECTORS_KEY)}
+        if isinstance(known, dict)
+        else {}
     )
     if known == plan:
         return

@@ -447,7 +447,7 @@ def track_and_measure(
         *make_notes(NoteKind.LINKING, tracked.loose_ends.warn(tracked.hint), clip.number),
         *edited.notes,
         *describe_camera_gaps(tracked.camera),
-        *describe_exposure(tracked.camera, f"{results.SEEN} in {results.RUN}"),
+        *describe_exposure(tracked.camera, f"{results.EXPOSURE_SEEN_KEY} in {results.RUN}"),
     )
     used = detector_name(selected.name if selected else name or DEFAULT)
     return Result(clip.number, tracked.camera, edited.tracks, tuple(rows), motion, notes, len(clip.frames), used)

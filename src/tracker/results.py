@@ -32,10 +32,11 @@ from tracker.tables.rows import check_columns, make_tracks_table, to_csv, to_tra
 
 RUN = "run.json"
 CONTACTS = "contacts.parquet"
-SEEN = "exposure_seen_s"  # by clip, where the motion blur is not as long as the camera file's exposure makes it, s
+# by clip, where the motion blur is not as long as the camera file's exposure makes it, s
+EXPOSURE_SEEN_KEY = "exposure_seen_s"
 
 OTHER_DETECTOR = "detector.json"  # in the folder of a clip: the detector that replaced that of the run
-OTHERS = "other_detectors"  # the same by clip, in run.json
+OTHER_DETECTORS_KEY = "other_detectors"  # the same by clip, in run.json
 
 
 def clip_folder(results: Path, number: int) -> Path:
@@ -91,11 +92,11 @@ def finish_results(partial: Path, final: Path, numbers: Iterable[int]) -> pd.Dat
     write_json(partial / "fit.json", fit_all_jointly(table))
     _write_contacts(partial, order)
     cameras = {n: load_json(clip_folder(partial, n) / "camera.json") for n in order}
-    if seen := {n: camera[SEEN] for n, camera in cameras.items() if SEEN in camera}:
-        write_json(partial / RUN, load_json(partial / RUN) | {SEEN: seen})
+    if seen := {n: camera[EXPOSURE_SEEN_KEY] for n, camera in cameras.items() if EXPOSURE_SEEN_KEY in camera}:
+        write_json(partial / RUN, load_json(partial / RUN) | {EXPOSURE_SEEN_KEY: seen})
     marks = {n: clip_folder(partial, n) / OTHER_DETECTOR for n in order}
     if others := {n: load_json(mark) for n, mark in marks.items() if mark.is_file()}:
-        write_json(partial / RUN, load_json(partial / RUN) | {OTHERS: others})
+        write_json(partial / RUN, load_json(partial / RUN) | {OTHER_DETECTORS_KEY: others})
     write_atomically(partial / "camera.json", (clip_folder(partial, order[0]) / "camera.json").read_bytes())
     os.replace(partial, final)
     return table

@@ -8,7 +8,7 @@ from tempfile import mkdtemp
 import numpy as np
 
 from tracker.benchmark.judging.defects import simulate_at_bound
-from tracker.benchmark.judging.tracker_results import ALL, ClipSample
+from tracker.benchmark.judging.tracker_results import ALL_CLIPS, ClipSample
 from tracker.benchmark.suite.definition import parse_definition
 from tracker.benchmark.suite.folder import covariances
 from tracker.benchmark.suite.make import make_suite
@@ -65,7 +65,7 @@ class Given:
 
     suite: object
     change: object = lambda table, rng: table
-    sample: ClipSample = ALL
+    sample: ClipSample = ALL_CLIPS
     own: str = "centre"
     rows: list = field(default_factory=list)
 

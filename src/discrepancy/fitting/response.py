@@ -28,7 +28,7 @@ from synthcam.model import Model
 
 LawChange = Callable[["ResponseSegment"], Array]  # (k, m, J) of friction and loss, (k, m, 2, J) of the push
 
-POINTS = 65  # times of a segment
+TIMES_PER_SEGMENT = 65  # times of a segment
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class ResponseSegment:
 
     @classmethod
     def of(cls, motion: CollisionBatch, radius: float, begins: Array, ends: Array) -> ResponseSegment:
-        times = begins[:, None] + (ends - begins)[:, None] * np.linspace(0, 1, POINTS)
+        times = begins[:, None] + (ends - begins)[:, None] * np.linspace(0, 1, TIMES_PER_SEGMENT)
         inside = np.clip(times, motion.start, motion.end)
-        states = motion.at(inside).reshape(len(times), POINTS, 9)
+        states = motion.at(inside).reshape(len(times), TIMES_PER_SEGMENT, 9)
         return cls(times, states[..., :2], states[..., 3:5], contact_velocity(states, radius))
 
     def __getitem__(self, rows: slice | NDArray[np.bool_] | Ints) -> ResponseSegment:
@@ -108,7 +108,7 @@ def _respond_one_rate(
     seen = np.unique(np.concatenate(every_ball))  # of a stretch only the striker is
     early, slide, roll = (segment[seen] for segment in split)
     contact, over = slide.times[:, 0], roll.times[:, 0]
-    parts = -(-len(contact) * POINTS * 2 * size // 250_000)  # numbers that fit into the processor's cache
+    parts = -(-len(contact) * TIMES_PER_SEGMENT * 2 * size // 250_000)  # numbers that fit into the processor's cache
     cuts = np.linspace(0, len(contact), min(parts, len(contact)) + 1).astype(int).tolist()
     rows = [slice(a, b) for a, b in itertools.pairwise(cuts)]
     has_past = not all(clip.is_stretch for clip in clips)
@@ -152,7 +152,7 @@ def _shift_segments(
     size: int,
 ) -> tuple[Array, Array, Array]:
     """Shifts (k, m, 2, J) of some balls in each of their three segments; early: None if nobody sees the first."""
-    nothing, came = np.zeros((len(roll.times), 2, size)), np.zeros((len(roll.times), POINTS, 2, size))
+    nothing, came = np.zeros((len(roll.times), 2, size)), np.zeros((len(roll.times), TIMES_PER_SEGMENT, 2, size))
     if early is not None:
         came, slides = (
             _shift_rolling(model, early, changes, size, nothing, nothing),
@@ -160,7 +160,7 @@ def _shift_segments(
         )
         if slides.any():
             came[slides] = _shift_sliding(model, early[slides], early[slides], changes, size)[0]
-    slid, left = np.zeros((len(roll.times), POINTS, 2, size)), nothing
+    slid, left = np.zeros((len(roll.times), TIMES_PER_SEGMENT, 2, size)), nothing
     if np.any(slide.times[:, -1] > slide.times[:, 0]):
         slid, left = _shift_sliding(model, slide, roll, changes, size)
     return came, slid, _shift_rolling(model, roll, changes, size, slid[:, -1], left)
@@ -219,7 +219,7 @@ def _integrate(times: Array, values: Array) -> Array:
     out[:, 0] = 0
     sums = out[:, 1:]
     np.add(values[:, 1:], values[:, :-1], out=sums)
-    sums *= ((times[:, -1] - times[:, 0]) / (2 * (POINTS - 1))).reshape(-1, *[1] * (values.ndim - 1))
+    sums *= ((times[:, -1] - times[:, 0]) / (2 * (TIMES_PER_SEGMENT - 1))).reshape(-1, *[1] * (values.ndim - 1))
     np.cumsum(sums, axis=1, out=sums)
     return out
 
@@ -227,7 +227,9 @@ def _integrate(times: Array, values: Array) -> Array:
 def _interpolate(times: Array, shift: Array, ball: NDArray[np.intp], when: Array) -> Array:
     """Shifts (n, 2, J) of balls (n,) at times `when`, by linear interpolation between times (n, m)."""
     span = times[:, -1] - times[:, 0]
-    place = np.clip((when - times[:, 0]) / np.where(span != 0, span, 1) * (POINTS - 1), 0, POINTS - 1)
-    low = np.minimum(place.astype(int), POINTS - 2)
+    place = np.clip(
+        (when - times[:, 0]) / np.where(span != 0, span, 1) * (TIMES_PER_SEGMENT - 1), 0, TIMES_PER_SEGMENT - 1
+    )
+    low = np.minimum(place.astype(int), TIMES_PER_SEGMENT - 2)
     share = (place - low)[:, None, None]
     return np.asarray(shift[ball, low] * (1 - share) + shift[ball, low + 1] * share)

@@ -32,7 +32,7 @@ class GlintSettings:
     """Which images of a lamp are wanted, and how finely the lamp is cut."""
 
     cell: float = np.inf  # m, half-width of the cells into which a wider lamp is cut, each with its own image
-    faintest: float = reflections.FAINTEST  # flux over that of the primary, below which an image is left out
+    faintest: float = reflections.MIN_RELATIVE_FLUX  # flux over that of the primary, below which an image is left out
     bounces: range = range(1, 99)  # numbers of reflections of the images
 
 

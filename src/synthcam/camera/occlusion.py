@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from synthcam.camera.pinhole import Array, PinholeCamera
 
-POINTS = 400  # of the outline of a ball, evenly spread, that are looked for behind the others
+OUTLINE_POINTS = 400  # of the outline of a ball, evenly spread, that are looked for behind the others
 
 
 def compute_hidden_shares(camera: PinholeCamera, centres: Array, radii: Array) -> Array:
@@ -17,7 +17,7 @@ def compute_hidden_shares(camera: PinholeCamera, centres: Array, radii: Array) -
     centres: (n, frames, 3), m; NaN in frames in which a ball is nowhere. radii: (n,), m; NaN for bodies that are not
     balls. Balls with NaN hide nothing and get NaN.
     """
-    eye, points = camera.centre, _spread_points(POINTS)
+    eye, points = camera.centre, _spread_points(OUTLINE_POINTS)
     there = np.isfinite(radii)[:, None] & np.isfinite(centres).all(axis=2)
     out = np.where(there, 0.0, np.nan)
     for frame in np.flatnonzero(there.sum(axis=0) > 1).tolist():
@@ -33,7 +33,7 @@ def compute_hidden_shares(camera: PinholeCamera, centres: Array, radii: Array) -
         for one, other in pairs.tolist():
             back, front = (one, other) if far[one] > far[other] else (other, one)
             if back not in covered:
-                covered[back] = np.zeros(POINTS, dtype=bool)
+                covered[back] = np.zeros(OUTLINE_POINTS, dtype=bool)
             rays = _aim_at_outline(way[back], float(np.tan(angle[back])), points)
             covered[back] |= rays @ way[front] > np.cos(angle[front])
         for back, rows in covered.items():

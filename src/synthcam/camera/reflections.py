@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 CHAINS_AT_ONCE = 8192  # that are grown together, to save memory
-FAINTEST = 1e-4  # flux of a secondary glint over that of the primary, below which it is left out
+MIN_RELATIVE_FLUX = 1e-4  # flux of a secondary glint over that of the primary, below which it is left out
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,9 @@ def find_neighbours(centres: Array, reach: Array) -> NearBalls:
 
 
 @cache
-def tabulate_pair_brightness(mirror: float, faintest: float = FAINTEST, most_bounces: int = 24) -> tuple[Array, Array]:
+def tabulate_pair_brightness(
+    mirror: float, faintest: float = MIN_RELATIVE_FLUX, most_bounces: int = 24
+) -> tuple[Array, Array]:
     """Tabulate the brightness (K, n) of light after 1 to K reflections between two balls, over the primary glint.
 
     The balls are at distances (n,), in mean radii, which are returned first; lamp and eye are far overhead. The glint
@@ -231,7 +233,7 @@ def tabulate_pair_brightness(mirror: float, faintest: float = FAINTEST, most_bou
     return apart, np.array(found) / found[0]
 
 
-def find_reach_of_reflections(mirror: float, faintest: float = FAINTEST, most_bounces: int = 24) -> float:
+def find_reach_of_reflections(mirror: float, faintest: float = MIN_RELATIVE_FLUX, most_bounces: int = 24) -> float:
     """Find the distance of two balls, in mean radii, beyond which light reflected between them is below `faintest`."""
     apart, bright = tabulate_pair_brightness(mirror, faintest)
     if min(len(bright), most_bounces) == 1:
@@ -240,7 +242,12 @@ def find_reach_of_reflections(mirror: float, faintest: float = FAINTEST, most_bo
 
 
 def iterate_chains(
-    moments: int, radii: Array, near: NearBalls, mirror: float, faintest: float = FAINTEST, most_bounces: int = 24
+    moments: int,
+    radii: Array,
+    near: NearBalls,
+    mirror: float,
+    faintest: float = MIN_RELATIVE_FLUX,
+    most_bounces: int = 24,
 ) -> Iterator[tuple[Index, Index]]:
     """Iterate over the lengths k of chains of mirror spheres to follow: balls (M, k) and moments (M,), in order.
 

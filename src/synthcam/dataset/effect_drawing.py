@@ -18,22 +18,22 @@ from synthcam.scene.film_time import FilmedMotion
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 
 EXAMPLE_LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact": (-0.01, 0.0)}
-FRAMES, FPS = 80, 250.0
+EXAMPLE_FRAMES, EXAMPLE_FPS = 80, 250.0
 
 
 def simulate_tracks(model: Model) -> Array:
     """Simulate the tracks of the drawn collision as an experimenter with the nominal camera measures them: mm."""
     radius = model.ball.radius
     nominal = PinholeCamera.overhead(
-        (640, 480), 1.6e-4, 0.5, ball_radius=radius, fps=FPS, exposure=5e-4, psf_sigma_px=1.0
+        (640, 480), 1.6e-4, 0.5, ball_radius=radius, fps=EXAMPLE_FPS, exposure=5e-4, psf_sigma_px=1.0
     )
     camera = model.laws("camera", nominal, {})
-    camera = replace(camera, exposure=float(model.laws("exposure", camera.exposure, {"fps": FPS})))
-    view = FilmedMotion.solve(model, Launch.pair(model.bodies("ab"), **EXAMPLE_LAUNCH), camera, FRAMES)  # type: ignore[arg-type]
-    pixels = view.mean(view.spans(FRAMES), lambda states: camera.project(states[..., :3]))
+    camera = replace(camera, exposure=float(model.laws("exposure", camera.exposure, {"fps": EXAMPLE_FPS})))
+    view = FilmedMotion.solve(model, Launch.pair(model.bodies("ab"), **EXAMPLE_LAUNCH), camera, EXAMPLE_FRAMES)  # type: ignore[arg-type]
+    pixels = view.mean(view.spans(EXAMPLE_FRAMES), lambda states: camera.project(states[..., :3]))
 
     def to_glint(pixels: Array, lamp: tuple[float, float, float] = (0.05, 0.0, 0.45)) -> Array:
-        centres = view.at(view.spans(FRAMES).mean(axis=1))[..., :3]
+        centres = view.at(view.spans(EXAMPLE_FRAMES).mean(axis=1))[..., :3]
         glints = project_glint(camera, Lamp(np.array(lamp), 0.01), centres, radius)
         return np.asarray(pixels + glints - camera.project(centres))
 
@@ -55,7 +55,7 @@ def draw_effect(effect: Effect, path: Path) -> float:
     grid = figure.add_gridspec(1, 2)
     halves = [figure.add_subfigure(grid[0, k]) for k in (0, 1)]
     left, right = (half.subplots() for half in halves)
-    time = np.arange(FRAMES) / FPS * 1e3
+    time = np.arange(EXAMPLE_FRAMES) / EXAMPLE_FPS * 1e3
     for k in (0, 1):
         left.plot(*without[k].T, color="0.6", lw=3, label="without the effect" if k else None)
         left.plot(*with_effect[k].T, color=colours[k], lw=1, label=names[k])

@@ -28,7 +28,7 @@ Pieces = list[tuple[Array, Array]]  # the nodes x (n,) of each piece of a soluti
 
 NODE_COUNTS = 14, 20, 26, 32, 40  # nodes of a piece, tried in this order
 MAX_HALVINGS = 12
-RESOLVED = 1e-13  # largest size of the last coefficients of a resolved piece, over that of the values
+MAX_LAST_COEFFICIENT = 1e-13  # largest size of the last coefficients of a resolved piece, over that of the values
 
 
 def evaluate_series(coefficients: Array, x: Array) -> Array:
@@ -160,8 +160,8 @@ def integrate_by_collocation(
         runaway = not np.all(np.abs(values) < 1e6)  # also true where a value is infinite
         if runaway:
             guess = None
-        decays = RESOLVED < tail < 1  # the coefficients, as we assume geometrically
-        wanted = size * np.log(RESOLVED) / np.log(tail) if decays else np.inf
+        decays = MAX_LAST_COEFFICIENT < tail < 1  # the coefficients, as we assume geometrically
+        wanted = size * np.log(MAX_LAST_COEFFICIENT) / np.log(tail) if decays else np.inf
         more = next((n for n in NODE_COUNTS if n >= max(wanted, size + 1)), None)
         if more is not None:
             stack.append(
@@ -219,13 +219,13 @@ def _solve_piece(
             settled = change * more < tolerance or (change < rounding and change > last / 2)
             if k == 0 or settled or change < close <= last:
                 tail = last_ones(fed if k else slice(None))
-                if tail > 10 * change + RESOLVED or (k == 0 and tail > 100 * RESOLVED):
+                if tail > 10 * change + MAX_LAST_COEFFICIENT or (k == 0 and tail > 100 * MAX_LAST_COEFFICIENT):
                     return y, False, tail  # no further iteration can help
             if settled:
                 if feed is not None:
                     turn(None)
                     tail = last_ones(slice(None))
-                return y, tail < RESOLVED, tail
+                return y, tail < MAX_LAST_COEFFICIENT, tail
     return y, False, 0.0
 
 

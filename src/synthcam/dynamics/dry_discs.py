@@ -29,7 +29,7 @@ from synthcam.dynamics.trajectory import Leg, NumericLeg, RestLeg
 STOPPED_M_S = 1e-12
 LAST_LOG = 36.0  # of s: r is then 2e-16 of its first value
 GRID = np.concatenate([np.linspace(0, 6, 301), np.linspace(6.1, LAST_LOG, 300)])
-DISC = 0.5  # k
+DISC_INERTIA = 0.5  # k
 
 
 class DryDisc(NamedTuple):
@@ -76,7 +76,7 @@ class DryBody:
     @cached_property
     def gyration(self) -> float:
         """The radius of gyration about the centre of mass, m."""
-        turning = sum(d.mass * (d.x**2 + d.y**2 + DISC * d.radius**2) for d in self.discs)
+        turning = sum(d.mass * (d.x**2 + d.y**2 + DISC_INERTIA * d.radius**2) for d in self.discs)
         return math.sqrt(turning / self.mass)
 
     def rub(self, direction: Sequence[float], angle: float) -> tuple[float, float, float]:

@@ -36,9 +36,9 @@ from synthcam.dynamics.trajectory import Event, Leg, Motion, NumericLeg, RestLeg
 from synthcam.model import Bodies, Model
 
 LEAD_TIME_S = 0.2  # of motion beyond the end that was asked for
-SAMPLES = 33  # within a step, at which a ball at rest is checked for the push that starts it
+SAMPLES_PER_STEP = 33  # within a step, at which a ball at rest is checked for the push that starts it
 NAMES: dict[int, Motion] = {REST: "rest", ROLL: "roll", SLIDE: "slide", FLY: "fly"}
-HELD = "a ball cannot rest before its launch: 5/7 of the push on it exceeds rolling_decel"
+CANNOT_REST = "a ball cannot rest before its launch: 5/7 of the push on it exceeds rolling_decel"
 
 
 def make_leg(motion: IntegratedMotion, ball: int, mode: int, now: float) -> Leg:
@@ -100,12 +100,12 @@ class InteractingPair:
         balls = BallStates.without_drilling(self.model, self.bodies, rows, 2)
         pieces = list(propagate_back(balls, np.zeros(1), -lasted))
         for _, motion in pieces:
-            states = motion.at(motion.begins[:, None] + motion.durations[:, None] * np.linspace(0, 1, SAMPLES))
+            states = motion.at(motion.begins[:, None] + motion.durations[:, None] * np.linspace(0, 1, SAMPLES_PER_STEP))
             for k in (k for k in (0, 1) if modes[k] == REST):
                 if np.any(self._excess(k, rows[k], states[1 - k]) > 0):
-                    raise ValueError(HELD)
+                    raise ValueError(CANNOT_REST)
         if not pieces and any(self._excess(k, rows[k], rows[1 - k, None])[0] > 0 for k in (0, 1)):
-            raise ValueError(HELD)
+            raise ValueError(CANNOT_REST)
         return pieces
 
     def next_legs(
@@ -162,7 +162,7 @@ class InteractingPair:
 
     def _find_start_time(self, k: int, row: Array, other: Leg, t: float, until: float) -> float:
         """Find when a ball at rest starts to roll, by bisection; infinity where it does not."""
-        times = np.linspace(t, until, SAMPLES)
+        times = np.linspace(t, until, SAMPLES_PER_STEP)
         late = np.flatnonzero(self._excess(k, row, other.at(times)) > 0)
         if len(late) == 0:
             return math.inf

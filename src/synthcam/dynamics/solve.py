@@ -22,7 +22,7 @@ from synthcam.dynamics.forces import (
     classify_modes,
     find_ending_slip,
 )
-from synthcam.dynamics.interacting_pair import HELD, LEAD_TIME_S, InteractingPair, make_leg, make_start_event
+from synthcam.dynamics.interacting_pair import CANNOT_REST, LEAD_TIME_S, InteractingPair, make_leg, make_start_event
 from synthcam.dynamics.kinematics import (
     TOUCH_TOLERANCE,
     Array,
@@ -228,7 +228,7 @@ class _EventLoop:
         if not slides and speed <= ZERO_SPEED_M_S:
             still = to_rest(state, self.radius[k])
             if self._excess(k, still) > 0:
-                raise ValueError(HELD)
+                raise ValueError(CANNOT_REST)
             return [RestLeg(self.start, time, still)]
         if not (self.slides if slides else self.rolls):
             legs = [self._slide(k, state, time, slip) if slides else self._roll(k, state, time, speed, self.start)]

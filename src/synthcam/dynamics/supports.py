@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from synthcam.dynamics.dry_discs import DISC, STOPPED_M_S, DryBody, DryDisc, friction_of_disc
+from synthcam.dynamics.dry_discs import DISC_INERTIA, STOPPED_M_S, DryBody, DryDisc, friction_of_disc
 from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.trajectory import GlideLeg, Leg, RestLeg
 
@@ -97,4 +97,4 @@ class DryPlate(Support):
         force, torque = friction_of_disc(math.atan2(abs(turn), speed))
         fading = self.slowing / math.hypot(speed, turn, FADING_M_S) * math.hypot(speed, turn)
         along = fading * force / max(speed, FADING_M_S)
-        return -along * vx, -along * vy, -math.copysign(fading * torque / DISC / radius, turn)
+        return -along * vx, -along * vy, -math.copysign(fading * torque / DISC_INERTIA / radius, turn)

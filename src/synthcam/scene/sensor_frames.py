@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.camera.pinhole import Lamp, PinholeCamera
-from synthcam.camera.reflections import FAINTEST
+from synthcam.camera.reflections import MIN_RELATIVE_FLUX
 from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.sensor import Sensor, SensorChip
 from synthcam.camera.surface import Surface
@@ -37,7 +37,7 @@ class OpticalSetup(NamedTuple):
     varnish: Surface | None = None  # the mirror on the balls of a `finish`; None: they are dull
     heights: Sequence[float] = ()  # of discs, m; 0 of balls
     plate_z: float = 0.0  # m
-    faintest: float = FAINTEST  # what many mirror balls leave out of a picture, over the peak of a glint
+    faintest: float = MIN_RELATIVE_FLUX  # what many mirror balls leave out of a picture, over the peak of a glint
     quick: bool = False  # whether matte balls exchange no light and do not mirror each other
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from tracker.benchmark.judging.tracker_results import ALL, ClipSample, TrackerResults, read_clip_results
+from tracker.benchmark.judging.tracker_results import ALL_CLIPS, ClipSample, TrackerResults, read_clip_results
 from tracker.benchmark.suite.folder import Suite
 from tracker.camera.recordings import Recording, open_source
 from tracker.detection.choose import choose_detector
@@ -28,7 +28,7 @@ class Entrant:
     """A tracker by its name, and the clips that it runs on."""
 
     name: str
-    sample: ClipSample = ALL
+    sample: ClipSample = ALL_CLIPS
 
     @property
     def detector(self) -> str | None:
@@ -100,7 +100,7 @@ def describe_tracker_run(one: Entrant, folder: Path) -> Mapping[str, Any]:
     """Describe a tracker that was run here, for its entry."""
     spent = load_json(folder / "pace.json")["ms_per_frame"]
     limits = {"clips_of_each_part": one.sample.clips, "not_run_on": list(one.sample.without)}
-    more = {} if one.sample == ALL else limits
+    more = {} if one.sample == ALL_CLIPS else limits
     return {"name": one.name, "made": RUN_HERE, "ms_per_frame": spent, "point": one.own} | more
 
 

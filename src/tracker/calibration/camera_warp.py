@@ -31,7 +31,7 @@ from tracker.measurement.positions import to_ball_tracks
 from tracker.results import read_clip
 
 Floats = NDArray[np.float64]
-FOLDS = 8
+VALIDATION_FOLDS = 8
 SMOOTHNESS = np.logspace(-8, 8, 65)  # ratios of the prior's precision to that of the positions that are tried
 
 
@@ -308,10 +308,10 @@ class _WarpProblem:
     @cached_property
     def sums(self) -> list[_NormalEquations]:
         """The sums of each fold."""
-        folds = [_NormalEquations(len(self.prior)) for _ in range(FOLDS)]
+        folds = [_NormalEquations(len(self.prior)) for _ in range(VALIDATION_FOLDS)]
         for number, group in enumerate(self.groups):
             for stretch in group:
-                folds[number % FOLDS].add(stretch, self.field, self.constraint)
+                folds[number % VALIDATION_FOLDS].add(stretch, self.field, self.constraint)
         return folds
 
     def solve(self, half: int | None = None, smoothness: float | None = None) -> _Posterior:
@@ -332,7 +332,7 @@ class _WarpProblem:
 
     def without(self, fold: int) -> _WarpProblem:
         """The problem of the other folds alone, with their friction."""
-        groups = [group for number, group in enumerate(self.groups) if number % FOLDS != fold]
+        groups = [group for number, group in enumerate(self.groups) if number % VALIDATION_FOLDS != fold]
         return replace(self, groups=groups, friction=FrictionPrior.of([one for group in groups for one in group]))
 
     def test_on_held_out(self, progress: Progress) -> tuple[float, float, float]:
@@ -342,12 +342,12 @@ class _WarpProblem:
         stretch that was left out is fitted again.
         """
         gains, total, left = [], 0.0, 0.0
-        for fold in range(FOLDS):
-            progress(fold, FOLDS)
+        for fold in range(VALIDATION_FOLDS):
+            progress(fold, VALIDATION_FOLDS)
             plain = self.without(fold)
             fitted = plain.repeat_at(plain.solve().mean)
             mean = fitted.solve().mean
-            for group in self.groups[fold::FOLDS]:
+            for group in self.groups[fold::VALIDATION_FOLDS]:
                 gain = 0.0
                 for stretch in group:
                     shifted = stretch.position + self._shift(stretch.position, mean)

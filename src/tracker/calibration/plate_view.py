@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 
 from synthcam_shared.errors import InputError
 from tracker.calibration.plate_points import MIN_POINTS, PlatePoints
-from tracker.camera.camera_keys import NUMBERS
+from tracker.camera.camera_keys import VIEW_ERROR_COUNT
 from tracker.camera.lens import Array, distort
 
 
@@ -50,7 +50,7 @@ def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: f
     left = residual[: points.pixels.size].reshape(-1, 2) * error
     _judge(points, residual, len(residual) - len(x), left)
     values, vectors = np.linalg.eigh(np.linalg.inv(slope.T @ slope))
-    errors = np.zeros((len(x), NUMBERS))
+    errors = np.zeros((len(x), VIEW_ERROR_COUNT))
     errors[:, problem.free] = (vectors * np.sqrt(np.maximum(values, 0.0))).T
     K, dist, shift = problem.view(x)
     return PlateView(K, dist, problem.rotate(turn, x), shift, errors, left, lens)
@@ -73,7 +73,7 @@ class _Problem:
     @property
     def free(self) -> list[int]:
         """Which of NUMBERS x has."""
-        return [0, 1, 2, *range(3, 3 + self.lens), *range(5, NUMBERS)]
+        return [0, 1, 2, *range(3, 3 + self.lens), *range(5, VIEW_ERROR_COUNT)]
 
     def rotate(self, turn: Array, x: Array) -> Array:
         """The rotation from world to camera."""

@@ -25,7 +25,7 @@ from tracker.camera.camera_json import (
     parse_camera_keys,
     read_source,
 )
-from tracker.camera.camera_keys import NUMBERS
+from tracker.camera.camera_keys import VIEW_ERROR_COUNT
 from tracker.camera.lens import Array, distort, mirror_normal, undistort
 from tracker.camera.sensor import SensorSpec
 from tracker.camera.warp import Warp
@@ -115,7 +115,7 @@ class Camera:
     scale_std: float = 0.0
     fps_std: float = 0.0
     ball_diameter_std: float = 0.0
-    view_errors: Array = field(default_factory=lambda: np.zeros((0, NUMBERS)))
+    view_errors: Array = field(default_factory=lambda: np.zeros((0, VIEW_ERROR_COUNT)))
     matte: bool = False
     warp: Warp | None = None
     mass_ratio: float | None = None

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationErr
 
 from synthcam_shared.errors import InputError as InputError
 from synthcam_shared.settings import did_you_mean
-from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS, NUMBERS, format_wrong_value, read_json
+from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS, VIEW_ERROR_COUNT, format_wrong_value, read_json
 from tracker.camera.lens import Array
 from tracker.camera.sensor import SensorSpec
 from tracker.camera.warp import Warp
@@ -103,9 +103,10 @@ def _check_array(given: Any, low: float, high: float, shape: tuple[int, ...]) ->
 
 
 def _check_rows(value: Any) -> Array:
-    if not isinstance(value, list) or len(value) > NUMBERS:
-        raise ValueError(f"at most {NUMBERS} rows of {NUMBERS} numbers, not {format_wrong_value(value)}")
-    return _check_array(value, -1e3, 1e3, (len(value), NUMBERS)) if value else np.zeros((0, NUMBERS))
+    if not isinstance(value, list) or len(value) > VIEW_ERROR_COUNT:
+        n = VIEW_ERROR_COUNT
+        raise ValueError(f"at most {n} rows of {n} numbers, not {format_wrong_value(value)}")
+    return _check_array(value, -1e3, 1e3, (len(value), VIEW_ERROR_COUNT)) if value else np.zeros((0, VIEW_ERROR_COUNT))
 
 
 def _anything_that(is_right: Callable[[Any], bool], expected: str) -> PlainValidator:
@@ -236,7 +237,9 @@ class _CameraFile(_Section):
     surface: _Surface = _Surface()
     ball: dict[Any, Any] = {}
     video: Any = None
-    view_errors: Annotated[Array, PlainValidator(_check_rows)] = Field(default_factory=lambda: np.zeros((0, NUMBERS)))
+    view_errors: Annotated[Array, PlainValidator(_check_rows)] = Field(
+        default_factory=lambda: np.zeros((0, VIEW_ERROR_COUNT))
+    )
     assumed: Annotated[Sequence[str], _anything_that(_is_list_of_names, "a list of names of keys")] = ()
     warp: Annotated[Warp | None, PlainValidator(Warp.of)] = None
     ball_masses: Annotated[Array | None, _array(1e-9, 1e3, 2)] = None

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from tracker.detection.motion_filter import (
-    DENSE,
+    MAX_BALLS_FOR_ALL_PAIRS,
     MotionNoise,
     PredictedBalls,
     PredictedHits,
@@ -62,7 +62,7 @@ def _match_plainly(free: PredictedBalls, found: Floats, noise: MotionNoise, *, m
 
     max_sigma: errors within which each ball must be found.
     """
-    if len(free) != len(found) or len(free) > DENSE or (free.count < 2).any():
+    if len(free) != len(found) or len(free) > MAX_BALLS_FOR_ALL_PAIRS or (free.count < 2).any():
         return None
     off = ((free.xy[:, None] - found) ** 2).sum(axis=2)
     nearest = off.argmin(axis=1)

@@ -22,7 +22,7 @@ from scipy.special import ndtr
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-DENSE = 48  # balls, up to which all pairs are looked at
+MAX_BALLS_FOR_ALL_PAIRS = 48  # balls, up to which all pairs are looked at
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def find_near_balls(balls: PredictedBalls, frames: int, noise: MotionNoise) -> t
         return rows[:0], rows[:0]
     xy, speed = balls.xy[rows], np.hypot(*balls.v[rows].T) * frames
     reach = (1 + 3 * noise.distance) * noise.diameter
-    if len(rows) <= DENSE:
+    if len(rows) <= MAX_BALLS_FOR_ALL_PAIRS:
         i, j = _list_pairs(len(rows))
     else:
         i, j = cKDTree(xy).query_pairs(reach + 2 * float(speed.max()), output_type="ndarray").T.astype(np.int64)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tracker.detection.link import Tracks
 
 REFUSALS = "refused.png"  # beside the tracks of a clip, and beside its page
-MOST = 12  # things that are named, the largest first
+MAX_NAMED_THINGS = 12  # things that are named, the largest first
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def draw_refusals(clip: Recording, tracks: Tracks, *, min_area_px: int = 28) -> 
     shots = {}
     for k in picks:
         frame: Any = np.asarray(clip.frames[k])
-        regions = find_regions(cv2.absdiff(frame, level) > least, min_area_px - 1)[:MOST]
+        regions = find_regions(cv2.absdiff(frame, level) > least, min_area_px - 1)[:MAX_NAMED_THINGS]
         shots[k] = [(region, _explain(region, clip, tracks, k, frame, level)) for region in regions]
     shown = max(picks, key=lambda k: (sum(bool(why) for _, why in shots[k]), len(shots[k])))
     number = int(clip.frames.numbers[shown])

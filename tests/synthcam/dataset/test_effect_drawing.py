@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from synthcam.cli import app
-from synthcam.dataset.effect_drawing import EXAMPLE_LAUNCH, FPS, FRAMES, draw_effect, simulate_tracks
+from synthcam.dataset.effect_drawing import EXAMPLE_FPS, EXAMPLE_FRAMES, EXAMPLE_LAUNCH, draw_effect, simulate_tracks
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.effect import with_typical_values
@@ -17,9 +17,9 @@ from synthcam.model import Model
 
 def test_its_tracks_are_the_motion_in_mm():
     model = Model(effects=(with_typical_values(library()["stribeck"]),))
-    motion = solve(model, Launch.pair(model.bodies("ab"), **EXAMPLE_LAUNCH), 0.0, FRAMES / FPS)
-    times = (np.arange(FRAMES)) / FPS + 2.5e-4
-    clear = [k for k in range(FRAMES) if all(abs(e.t - times[k]) > 3e-4 for e in motion.events)]
+    motion = solve(model, Launch.pair(model.bodies("ab"), **EXAMPLE_LAUNCH), 0.0, EXAMPLE_FRAMES / EXAMPLE_FPS)
+    times = (np.arange(EXAMPLE_FRAMES)) / EXAMPLE_FPS + 2.5e-4
+    clear = [k for k in range(EXAMPLE_FRAMES) if all(abs(e.t - times[k]) > 3e-4 for e in motion.events)]
     np.testing.assert_allclose(
         simulate_tracks(model)[:, clear], 1e3 * motion.at(times[clear])[..., :2], rtol=0, atol=2e-4
     )

@@ -18,7 +18,7 @@ from synthcam_shared.errors import NoGL as NoGL
 
 # Read when the libraries load. llvmpipe then draws in the calling thread and leaves the other cores to other processes.
 os.environ.setdefault("LP_NUM_THREADS", "0")
-WHY = windowless.choose_opengl()
+OPENGL_CHOICE = windowless.choose_opengl()
 _missing = ""
 try:
     with warnings.catch_warnings(), windowless.without_viewer():
@@ -153,7 +153,7 @@ class Canvas:
             }
         except Exception as error:
             raise NoGL(_no_gl(" ".join(str(error).split()) or type(error).__name__)) from error
-        self.info |= {"platform": os.environ["PYOPENGL_PLATFORM"], "why": WHY}
+        self.info |= {"platform": os.environ["PYOPENGL_PLATFORM"], "why": OPENGL_CHOICE}
         quad = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
         room_for_jobs = np.zeros((MAX_BALLS_PER_CALL, 4, 4), np.float32)
         self._scene = pyrender.Scene(bg_color=np.zeros(4))

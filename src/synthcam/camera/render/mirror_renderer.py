@@ -37,7 +37,7 @@ from synthcam.camera.plate import (
     plate_points,
     shadow_casters,
 )
-from synthcam.camera.reflections import FAINTEST, find_neighbours
+from synthcam.camera.reflections import MIN_RELATIVE_FLUX, find_neighbours
 from synthcam.camera.render.canvas import BUFFER_SIDE, BallBatch, get_canvas
 from synthcam.camera.renderer import Centres, Renderer
 from synthcam.camera.surface import STEEL_ON_BLACK, STEEL_REFLECTANCE, Surface
@@ -74,7 +74,7 @@ class MirrorRenderer(Renderer):
         radii: Sequence[float],
         room: float = 0.02,
         surface: Surface = STEEL_ON_BLACK,
-        faintest: float = FAINTEST,
+        faintest: float = MIN_RELATIVE_FLUX,
     ) -> None:
         self._canvas = get_canvas()
         self.room, self.surface = room, surface
@@ -90,7 +90,7 @@ class MirrorRenderer(Renderer):
             "gloss": surface.plate_gloss,
             "lamp": np.zeros(3),
         }
-        self.faintest = FAINTEST if len(self.radii) <= 2 else faintest
+        self.faintest = MIN_RELATIVE_FLUX if len(self.radii) <= 2 else faintest
         self._mirror_reach, self._shade_reach = self._find_reaches()
         self._defines = ({"PAIR": 1} if len(self.radii) <= 2 else {}) | ({"METAL": 1} if surface.steel else {})
         self._plain = is_plain(lamp, surface)

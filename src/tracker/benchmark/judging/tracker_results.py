@@ -33,7 +33,7 @@ class ClipSample:
         return {clip for part in parts if part.film == film for clip in self.of(part)}
 
 
-ALL = ClipSample()
+ALL_CLIPS = ClipSample()
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class TrackerResults:
     """
 
     of: Callable[[str, int], ClipResults]
-    sample: ClipSample = ALL
+    sample: ClipSample = ALL_CLIPS
     own: str = "centre"
 
 

@@ -28,7 +28,7 @@ from tracker.measurement.collision.lasting_contact import (
     as_collision_fits,
     fit_lasting_contact,
 )
-from tracker.measurement.collision.least_squares import ROUGH, BallPair, CollisionFit, fit_motion
+from tracker.measurement.collision.least_squares import ROUGH_TOLERANCE, BallPair, CollisionFit, fit_motion
 from tracker.measurement.collision.motion_test import find_p_of_motion
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
 from tracker.measurement.collision.rolling_losses import compare_losses
@@ -213,7 +213,7 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
         pair = other.contact.pair
         if pair.striker_slides and _is_too_bad(pair, *_bound_chi2_of_sliding(pair, other.starts[0]), least):
             continue
-        rough = fit_motion(pair, True, other.starts, tolerance=ROUGH)
+        rough = fit_motion(pair, True, other.starts, tolerance=ROUGH_TOLERANCE)
         per = rough.chi2 / max(rough.dof, 1)
         if _is_too_bad(pair, rough.chi2, rough.dof, least):
             continue
@@ -249,7 +249,9 @@ def _bound_chi2_of_sliding(pair: BallPair, start: Floats) -> tuple[float, int]:
     It is the least chi^2 of the free motion, of which the tied motions are a part. From a bad start, a descent of the
     tied motion takes long and ends far above it.
     """
-    free = fit_motion(pair, False, [np.asarray(tied_to_free(start, pair.spin), dtype=np.float64)], tolerance=ROUGH)
+    free = fit_motion(
+        pair, False, [np.asarray(tied_to_free(start, pair.spin), dtype=np.float64)], tolerance=ROUGH_TOLERANCE
+    )
     return free.chi2, free.dof + len(FREE) - len(TIED)
 
 
@@ -374,8 +376,8 @@ def _prefer_possible(pair: BallPair, tied: CollisionFit, worse: float = 10.0) ->
     start = tied.parameters.copy()
     for r in (0.9, 0.5):
         start[[TIED.index(name) for name in ("r", "log_mu", "C")]] = r, np.log(1e-3), 0.0
-        rough = fit_motion(pair, True, [start], ROUGH)
-        if rough.chi2 > (1 + 10 * ROUGH) * (tied.chi2 + worse):
+        rough = fit_motion(pair, True, [start], ROUGH_TOLERANCE)
+        if rough.chi2 > (1 + 10 * ROUGH_TOLERANCE) * (tied.chi2 + worse):
             continue
         other = fit_motion(pair, True, [rough.parameters])
         if other.dropped <= tied.dropped and other.chi2 < tied.chi2 + worse and is_possible(other):
@@ -400,7 +402,7 @@ def _fit_free(pair: BallPair, tied: CollisionFit, whole: bool = False) -> tuple[
             seen[i] = False
         elif np.exp(best.parameters[end]) > 0.5 * left:
             endless = _without_slide_end(best.parameters, 1 + i, left)
-            without = fit_motion(pair, False, [endless], ROUGH, whole)
+            without = fit_motion(pair, False, [endless], ROUGH_TOLERANCE, whole)
             if without.chi2 < best.chi2:
                 best = without = fit_motion(pair, False, [without.parameters], whole=whole)
             ends_in_view = bool(np.exp(best.parameters[end]) < left)

@@ -41,8 +41,8 @@ from tracker.measurement.collision.derived import (
 )
 from tracker.measurement.collision.least_squares import (
     BROAD_PRIORS,
-    FINE,
-    ROUGH,
+    FINE_TOLERANCE,
+    ROUGH_TOLERANCE,
     BallPair,
     CollisionFit,
     covariance,
@@ -237,7 +237,11 @@ class LastingFit:
 
     @staticmethod
     def to(
-        pair: BallPair, kind: str, starts: list[Floats], friction: float | None = None, tolerance: float = FINE
+        pair: BallPair,
+        kind: str,
+        starts: list[Floats],
+        friction: float | None = None,
+        tolerance: float = FINE_TOLERANCE,
     ) -> LastingFit:
         """Fit a motion from starts (p,); tolerance: as for `find_best_minimum`."""
         problem = LastingResiduals(pair, kind, friction)
@@ -485,7 +489,7 @@ def _is_hopeless(pair: BallPair, frame: int, level: float) -> bool:
     starts = _guess(pair, frame, frame)
     if outside is None or not starts:
         return False
-    fit = LastingFit.to(outside, "free", starts, tolerance=ROUGH)
+    fit = LastingFit.to(outside, "free", starts, tolerance=ROUGH_TOLERANCE)
     dof = fit.dof + 2 * (len(pair) - len(outside))
     if not compute_p_value(fit.chi2, dof, pair.striker.noise_dof) < level:
         return False
@@ -518,14 +522,14 @@ def _fit_outside(pair: BallPair, window: tuple[int, int], last: LastingFit | Non
     starts = [last.x] if last is not None else _guess(pair, *window)
     if not starts:
         return None
-    free = LastingFit.to(pair, "free", starts, tolerance=ROUGH) if kind == "free" else None
+    free = LastingFit.to(pair, "free", starts, tolerance=ROUGH_TOLERANCE) if kind == "free" else None
     dof, level = pair.striker.noise_dof, 1e-3
     if free is not None and compute_p_value(_chi2_of_lines(pair, *window), 2 * len(pair), dof) < level:
         return free
     start = _straighten(free, pair) if free is not None else starts[0]
-    straight = LastingFit.to(pair, "straight", [start], tolerance=ROUGH)
+    straight = LastingFit.to(pair, "straight", [start], tolerance=ROUGH_TOLERANCE)
     if free is None:
-        free = LastingFit.to(pair, "free", _guess(pair, *window), tolerance=ROUGH)
+        free = LastingFit.to(pair, "free", _guess(pair, *window), tolerance=ROUGH_TOLERANCE)
     if compute_p_value(straight.chi2, straight.dof, dof) < level:
         return free
     return straight if straight.chi2 < free.chi2 + STRAIGHT_CHI2 else free

@@ -29,8 +29,9 @@ from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
-FINE = 1e-10  # relative change of parameters and chi^2 that ends a descent
-ROUGH = 1e-4  # the same where it is enough to compare minima; a descent that needs over 30 steps is then given up
+FINE_TOLERANCE = 1e-10  # relative change of parameters and chi^2 that ends a descent
+# the same where it is enough to compare minima; a descent that needs over 30 steps is then given up
+ROUGH_TOLERANCE = 1e-4
 
 # name: (centre, width). Wide enough to weigh nothing against data, stated here and nowhere else.
 BROAD_PRIORS: Mapping[str, tuple[float, float]] = {
@@ -184,7 +185,7 @@ class LeastSquaresProblem(Protocol):
 
 
 def find_best_minimum(
-    problem: LeastSquaresProblem, starts: Sequence[Floats], tolerance: float = FINE
+    problem: LeastSquaresProblem, starts: Sequence[Floats], tolerance: float = FINE_TOLERANCE
 ) -> tuple[Floats, bool]:
     """Find the best of several minima by Levenberg-Marquardt (MINPACK), and whether that descent converged.
 
@@ -194,8 +195,8 @@ def find_best_minimum(
     least_gain = 1e-3  # gain in half the chi^2 from which on another start has found another, better minimum
     best, cost, converged = _descend(problem, starts[0], tolerance)
     for start in starts[1:]:
-        found, better, fine = _descend(problem, start, ROUGH)
-        if better < cost - least_gain and tolerance < ROUGH:
+        found, better, fine = _descend(problem, start, ROUGH_TOLERANCE)
+        if better < cost - least_gain and tolerance < ROUGH_TOLERANCE:
             found, better, fine = _descend(problem, found, tolerance)
         if better < cost - least_gain:
             best, cost, converged = found, better, fine
@@ -206,13 +207,13 @@ def _descend(problem: LeastSquaresProblem, start: Floats, tolerance: float) -> t
     """Parameters, half their chi^2, whether a relative step or gain under `tolerance` ended the descent."""
     x, _, found, _, ended = leastsq(
         problem.residual, start, Dfun=lambda x: problem.slope(x).T, col_deriv=True, full_output=True, xtol=tolerance,
-        ftol=tolerance, gtol=1e-10, maxfev=100 if tolerance < ROUGH else 30,
+        ftol=tolerance, gtol=1e-10, maxfev=100 if tolerance < ROUGH_TOLERANCE else 30,
     )  # fmt: skip
     return np.asarray(x, dtype=np.float64), float(found["fvec"] @ found["fvec"]) / 2, ended in (1, 2, 3, 4)
 
 
 def fit_motion(
-    pair: BallPair, tied: bool, starts: list[Floats], tolerance: float = FINE, whole: bool = False
+    pair: BallPair, tied: bool, starts: list[Floats], tolerance: float = FINE_TOLERANCE, whole: bool = False
 ) -> CollisionFit:
     """Fit a tied or free motion by least squares, from starts (16,) or (22,). A few outliers are dropped once.
 
@@ -253,8 +254,8 @@ def _try_across_frame_edge(
     other = best.copy()
     other[0] = 2 * near[0] - best[0]
     least = float(residual @ residual)
-    found, half, fine = _descend(problem, other, ROUGH)
-    if 2 * half < (1 + 10 * ROUGH) * least and tolerance < ROUGH:
+    found, half, fine = _descend(problem, other, ROUGH_TOLERANCE)
+    if 2 * half < (1 + 10 * ROUGH_TOLERANCE) * least and tolerance < ROUGH_TOLERANCE:
         found, half, fine = _descend(problem, found, tolerance)
     return (found, fine) if 2 * half < least else (best, converged)
 

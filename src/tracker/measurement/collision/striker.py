@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tracker.measurement.collision.adequacy import Flag
 from tracker.measurement.collision.collision_model import FREE, GRAVITY, SLIDING, SPIN, TIED
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit
-from tracker.measurement.noise.position_noise import WINDOW, find_bent_windows
+from tracker.measurement.noise.position_noise import WINDOW_FRAMES, find_bent_windows
 
 if TYPE_CHECKING:
     from tracker.measurement.collision.contacts import Contact
@@ -75,7 +75,7 @@ def _without_first_positions(contact: Contact) -> Iterator[Contact]:
     track = contact.pair.striker
     before = np.flatnonzero(track.frame < contact.frame)
     pushed = find_bent_windows(track.where(track.frame < contact.frame - 1))
-    since = [int((track.frame[before] >= pushed[-1] + WINDOW).sum())] if len(pushed) else []
+    since = [int((track.frame[before] >= pushed[-1] + WINDOW_FRAMES).sum())] if len(pushed) else []
     # shares of the positions before the contact, where no push is seen or is not all
     for kept in since + [round(share * len(before)) for share in (0.6, 0.35)]:
         if MIN_POSITIONS_BEFORE_CONTACT <= kept < len(before):

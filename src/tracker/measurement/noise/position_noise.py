@@ -18,9 +18,9 @@ from tracker.measurement.noise.whitening import position_covariance
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-WINDOW, ORDER = 7, 3  # consecutive frames, order of the polynomial
-RESIDUALS = WINDOW - ORDER - 1  # degrees of freedom per axis
-DOF = 2 * RESIDUALS  # degrees of freedom of a window, both axes
+WINDOW_FRAMES, POLYNOMIAL_ORDER = 7, 3  # consecutive frames, order of the polynomial
+DOF_PER_AXIS = WINDOW_FRAMES - POLYNOMIAL_ORDER - 1  # degrees of freedom per axis
+DOF_PER_WINDOW = 2 * DOF_PER_AXIS  # degrees of freedom of a window, both axes
 
 
 class BallNoise(Protocol):
@@ -71,30 +71,35 @@ def measure_scatter(balls: Sequence[BallNoise]) -> ScatterRatio | None:
     left = np.concatenate([np.empty(0), *(part[1] for part in parts)])
     if not len(left):
         return None
-    limit = chdtri(DOF, 1 - kept_share)
-    kept = left[left <= float(np.median(left)) / chdtri(DOF, 0.5) * limit]
-    share = chdtr(DOF + 2, limit) / kept_share  # the mean chi^2 of windows below the quantile, over that of all windows
-    ratio = max(float(kept.mean() / (DOF * share)), least)
+    limit = chdtri(DOF_PER_WINDOW, 1 - kept_share)
+    kept = left[left <= float(np.median(left)) / chdtri(DOF_PER_WINDOW, 0.5) * limit]
+    # the mean chi^2 of windows below the quantile, over that of all windows
+    share = chdtr(DOF_PER_WINDOW + 2, limit) / kept_share
+    ratio = max(float(kept.mean() / (DOF_PER_WINDOW * share)), least)
     return ScatterRatio(ratio, dof_share * _count_freedom([part[0] for part in parts]))
 
 
 def find_bent_windows(course: BallNoise) -> Ints:
     """Find windows whose scatter is no noise, because motion is not smooth there (p < 1e-6): frames (m,)."""
     starts, left, _ = _windows(course)
-    return starts[left > np.median(left) * chdtri(DOF, 1e-6) / chdtri(DOF, 0.5)] if len(left) else starts
+    return (
+        starts[left > np.median(left) * chdtri(DOF_PER_WINDOW, 1e-6) / chdtri(DOF_PER_WINDOW, 0.5)]
+        if len(left)
+        else starts
+    )
 
 
 def share_seen_by_scatter(rho: float) -> float:
     """Share of the variance of errors correlated by `rho` from frame to frame that `measure_scatter` sees."""
     over = _residual_basis()
-    lag = np.abs(np.subtract.outer(np.arange(WINDOW), np.arange(WINDOW)))
-    return float(np.trace(over.T @ rho**lag @ over)) / RESIDUALS
+    lag = np.abs(np.subtract.outer(np.arange(WINDOW_FRAMES), np.arange(WINDOW_FRAMES)))
+    return float(np.trace(over.T @ rho**lag @ over)) / DOF_PER_AXIS
 
 
 def _residual_basis() -> Floats:
-    """Orthonormal basis (WINDOW, RESIDUALS) of what a cubic leaves in a window."""
-    cubics = np.vander(np.linspace(-1, 1, WINDOW), ORDER + 1)
-    return np.linalg.qr(cubics, mode="complete")[0][:, ORDER + 1 :]
+    """Orthonormal basis (WINDOW_FRAMES, DOF_PER_AXIS) of what a cubic leaves in a window."""
+    cubics = np.vander(np.linspace(-1, 1, WINDOW_FRAMES), POLYNOMIAL_ORDER + 1)
+    return np.linalg.qr(cubics, mode="complete")[0][:, POLYNOMIAL_ORDER + 1 :]
 
 
 def _windows(course: BallNoise) -> tuple[Ints, Floats, NDArray[np.bool_]]:
@@ -104,48 +109,50 @@ def _windows(course: BallNoise) -> tuple[Ints, Floats, NDArray[np.bool_]]:
     no noise and is left out: some recorders drop what moves too little.
     """
     stride = 94  # windows whose covariance is computed at once
-    count = len(course) - WINDOW + 1
+    count = len(course) - WINDOW_FRAMES + 1
     if count < 1:
         return np.empty(0, np.int64), np.empty(0), np.empty(0, dtype=bool)
     over = _residual_basis()
     slide = np.lib.stride_tricks.sliding_window_view
-    rest = (slide(course.position, WINDOW, axis=0) @ over).reshape(count, DOF)
+    rest = (slide(course.position, WINDOW_FRAMES, axis=0) @ over).reshape(count, DOF_PER_WINDOW)
     left = np.empty(count)
     for first in range(0, count, stride):
         rows = slice(first, min(first + stride, count))
         left[rows] = (rest[rows] * np.linalg.solve(_spread(course, rows, over), rest[rows, :, None])[..., 0]).sum(-1)
     steps = np.abs(np.diff(course.position, axis=0)).sum(axis=1)
-    whole = (course.frame[WINDOW - 1 :] - course.frame[:count] == WINDOW - 1) & (slide(steps, WINDOW - 1).max(-1) > 0)
-    moved = np.hypot(*(course.position[WINDOW - 1 :] - course.position[:count]).T) > 3.0 * course.width
+    whole = (course.frame[WINDOW_FRAMES - 1 :] - course.frame[:count] == WINDOW_FRAMES - 1) & (
+        slide(steps, WINDOW_FRAMES - 1).max(-1) > 0
+    )
+    moved = np.hypot(*(course.position[WINDOW_FRAMES - 1 :] - course.position[:count]).T) > 3.0 * course.width
     return course.frame[:count][whole], left[whole], moved[whole]
 
 
 def _spread(course: BallNoise, windows: slice, over: Floats) -> Floats:
     """Expected covariances (k, DOF, DOF) of the residuals from cubics, axis by axis."""
     k = windows.stop - windows.start
-    rows = slice(windows.start, windows.stop + WINDOW - 1)
-    out = np.zeros((k, 2, RESIDUALS, 2, RESIDUALS))
+    rows = slice(windows.start, windows.stop + WINDOW_FRAMES - 1)
+    out = np.zeros((k, 2, DOF_PER_AXIS, 2, DOF_PER_AXIS))
     if course.fixed.any() and course.width > 0:
         position, cov, fixed = course.position[rows], course.cov[rows], course.fixed[rows]
         n = len(position)
         full = position_covariance(position, cov, fixed, course.width, course.drifts).reshape(n, 2, n, 2)
-        each = np.arange(k)[:, None] + np.arange(WINDOW)
-        blocks = full[each[:, :, None], :, each[:, None, :], :]  # (k, WINDOW, WINDOW, 2, 2)
+        each = np.arange(k)[:, None] + np.arange(WINDOW_FRAMES)
+        blocks = full[each[:, :, None], :, each[:, None, :], :]  # (k, WINDOW_FRAMES, WINDOW_FRAMES, 2, 2)
         out += np.einsum("ia,kijxy,jb->kxayb", over, blocks, over)
     else:
-        own = np.lib.stride_tricks.sliding_window_view(course.cov[rows], WINDOW, axis=0)  # (k, 2, 2, WINDOW)
+        own = np.lib.stride_tricks.sliding_window_view(course.cov[rows], WINDOW_FRAMES, axis=0)  # (k, 2, 2, frames)
         out += np.einsum("ia,kxyi,ib->kxayb", over, own, over)
-    return out.reshape(k, DOF, DOF)
+    return out.reshape(k, DOF_PER_WINDOW, DOF_PER_WINDOW)
 
 
 def _count_freedom(starts: list[Ints]) -> float:
     """Effective degrees of freedom of overlapping windows: twice the squared mean of their sum, over its variance."""
-    t = np.linspace(-1, 1, WINDOW)
-    q = np.linalg.qr(np.vander(t, ORDER + 1))[0]
-    rest = np.eye(WINDOW) - q @ q.T
+    t = np.linspace(-1, 1, WINDOW_FRAMES)
+    q = np.linalg.qr(np.vander(t, POLYNOMIAL_ORDER + 1))[0]
+    rest = np.eye(WINDOW_FRAMES) - q @ q.T
     total = sum(map(len, starts))
-    square = float(total * RESIDUALS)
-    for lag in range(1, WINDOW):
+    square = float(total * DOF_PER_AXIS)
+    for lag in range(1, WINDOW_FRAMES):
         pairs = sum(int(np.isin(first + lag, first).sum()) for first in starts)
         square += 2 * pairs * float((rest[lag:, lag:] * rest[:-lag, :-lag]).sum())
-    return 2 * (RESIDUALS * total) ** 2 / square
+    return 2 * (DOF_PER_AXIS * total) ** 2 / square
