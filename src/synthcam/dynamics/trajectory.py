@@ -298,7 +298,7 @@ class Trajectory:
 
     def _follow(self, legs: tuple[Leg, ...], times: Array) -> Array:
         out, which = np.empty((len(times), 9)), self._which(legs, times)
-        for k in np.unique(which):
+        for k in np.flatnonzero(np.bincount(which)):
             here = which == k
             out[here] = legs[k].at(times[here])
         return out
