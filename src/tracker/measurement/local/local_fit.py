@@ -292,7 +292,7 @@ def solve_problems(
     """Solve local fits from x (m, n) by damped Gauss-Newton steps (Levenberg and Marquardt).
 
     The problems differ only in what is known. hopeless: by which a cost exceeds the least one where the descent ends
-    after two steps, because nothing needs so poor a solution.
+    after four steps, because nothing needs so poor a solution.
     """
     one, x = problems[0], x.copy()
     known = [np.stack(part) for part in zip(*(p.known for p in problems), strict=True)]
@@ -316,7 +316,7 @@ def solve_problems(
         turns[at] += 1
         ends = np.zeros(len(x), dtype=bool)
         ends[at] = (gain < least_gain * (1 + 1e-3 * cost[at])) | (turns[at] >= steps)
-        ends |= (damping > 1e8) | ((turns > 1) & (cost > cost.min() + hopeless))
+        ends |= (damping > 1e8) | ((turns > 3) & (cost > cost.min() + hopeless))
         active = active[~ends[active]]
     n = 2 * sum(map(len, one.stretches))
     size = np.sqrt(np.maximum((j**2).sum(axis=1), 1e-300))
@@ -682,7 +682,8 @@ def _solve_with_durations(
     """Solve each solution with each duration of one slide.
 
     A descent starts from the duration of the solution, or from the end of the cell that is nearest to it. From the
-    middle of a wide cell it may start so far off that it ends in vain.
+    middle of a wide cell it may start so far off that it ends in vain. Before a contact it starts with the same slide,
+    so velocity and position at the contact change with the duration of the roll.
     """
     problems, starts, logs = list[LocalProblem](), list[Floats](), list[float]()
     for log, one in parts:
@@ -691,6 +692,10 @@ def _solve_with_durations(
             starts.append(one.x.copy())
             at, reach = one.problem.start[k] + 6, np.sqrt(3) * cell.error
             starts[-1][at] = np.clip(one.x[at], np.log(cell.lasts) - reach, np.log(cell.lasts) + reach)
+            if not one.problem.stretches[k].after:
+                old, new = np.exp(one.x[at]), np.exp(starts[-1][at])
+                pull, own = one.problem.values(one.x, k)[4:6], starts[-1][at - 6 : at - 2]
+                own += np.concatenate([pull * (old**2 - new**2) / 2, pull * (old - new)])
             logs.append(log + cell.log_prior)
     found = solve_problems(problems, np.array(starts), parts[0][1].sizes, 8, hopeless=1.5 * MAX_COST, least_gain=3e-3)
     return list(zip(logs, found, strict=True))
