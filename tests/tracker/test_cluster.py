@@ -7,7 +7,9 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+import tifffile
 from benchmark_suite import TINY, suite
 
 from synthcam_shared.dask_cluster import Cluster
@@ -84,6 +86,8 @@ def test_a_suite_made_run_and_scored_by_a_cluster_is_the_same(tmp_path, monkeypa
 @needs_dask
 def test_an_address_without_a_scheduler(tmp_path, monkeypatch):
     monkeypatch.setattr(Cluster, "__init__", functools.partialmethod(Cluster.__init__, timeout=0.5))
+    film = tmp_path / "film.tif"
+    tifffile.imwrite(film, np.zeros((3, 40, 50), np.uint8), imagej=True)
     with pytest.raises(InputError, match="--scheduler nonsense: expected a Dask scheduler's address"):
-        run(suite().film("axes"), tmp_path / "d", "centroid", 0, scheduler="nonsense")
-    assert not list(tmp_path.iterdir())
+        run(film, tmp_path / "d", "centroid", 0, scheduler="nonsense")
+    assert list(tmp_path.iterdir()) == [film]
