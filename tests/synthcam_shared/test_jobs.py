@@ -125,9 +125,10 @@ def test_work_that_a_process_cannot_load_is_an_error_and_nobody_waits():
 
 def test_left_in_the_middle_no_worker_stays():
     results = run_jobs(elsewhere(functools.partial(work, ())), range(101, 1000), 3)
-    pids = {next(results).value for _ in range(40)} - {os.getpid()}
+    pids = set()
+    while len(pids) < 2:  # until both others have answered
+        pids |= {next(results).value} - {os.getpid()}
     results.close()
-    assert pids
     assert until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids))
 
 

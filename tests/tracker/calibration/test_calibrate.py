@@ -90,7 +90,7 @@ def test_every_hit_of_a_long_film_counts():
 def test_contacts_of_noise_in_the_first_look_do_not_hide_the_true_one(tmp_path, monkeypatch):
     """The first look takes noise for contacts; with the size that these give, the second finds none."""
     path = stack(
-        tmp_path, film(np.random.default_rng(0), collision(60, contact=25.3, speed=2.5), sigma=1.2, profile=0.0)
+        tmp_path, film(np.random.default_rng(0), collision(24, contact=10.3, speed=2.5), sigma=1.2, profile=0.0)
     )
     whole, sizes = calibration.survey_sizes, []
 
