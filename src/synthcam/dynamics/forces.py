@@ -42,7 +42,9 @@ def classify_modes(states: Array, radius: Array) -> Ints:
     x, y, vx, vy = *contact_velocity(states, radius).T, states[:, 3], states[:, 4]
     slips, moves = x * x + y * y > ZERO_SPEED_M_S**2, vx * vx + vy * vy > ZERO_SPEED_M_S**2  # quicker than hypot
     aloft = (states[:, 5] > 0) | (states[:, 2] > radius * (1 + TOUCH_TOLERANCE))
-    return np.where(aloft, FLY, np.where(slips, SLIDE, np.where(moves, ROLL, REST)))
+    modes = np.where(moves, ROLL, REST)
+    modes[slips], modes[aloft] = SLIDE, FLY
+    return modes
 
 
 @dataclass(frozen=True)

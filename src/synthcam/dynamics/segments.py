@@ -28,9 +28,10 @@ class PackedRows:
     """
 
     def __init__(self, mask: NDArray[np.bool_]) -> None:
-        counts = np.count_nonzero(mask, axis=1)
-        self.mask, self.any = mask, bool(counts.any())
-        self.inside = np.arange(counts.max(initial=0)) < counts[:, None]
+        counts = mask.sum(axis=1)
+        most = int(counts.max()) if len(counts) else 0
+        self.mask, self.any = mask, most > 0
+        self.inside = np.arange(most) < counts[:, None]
 
     def gather(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pack values (k, m) into (k, most in a row); zeros fill the shorter rows."""
