@@ -40,8 +40,8 @@ def compare_designs(
     """Compute the cosine of two effects' signatures in the filmed collisions and in others that could be filmed.
 
     Both effects have zero strength; all other parameters have their fitted values. First come the collisions as they
-    are (`Experiment.thin_out` selects some). Then come those with each possible change of `changes.CHANGES`, and last
-    those with all changes of launches at once.
+    are (`PlannedExperiment.thin_out` selects some). Then come those with each possible change of `changes.CHANGES`, and
+    last those with all changes of launches at once.
     """
     for candidate, _ in (one, other):
         fit = fit.drop(candidate.remove_from(fit.model), candidate.strengths + candidate.shapes)

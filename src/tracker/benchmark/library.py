@@ -138,7 +138,7 @@ def run(
 
     Returns
     -------
-    Trial
+    TrackerRun
         `table` and `quantities` (DataFrames), `score`, `plot()`.
 
     Raises

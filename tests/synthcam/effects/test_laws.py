@@ -186,7 +186,7 @@ def test_the_striker_may_be_ball_a():
     model = with_effect("eccentric_mass")
     launch = replace(Launch.pair(model.bodies("ba"), **LAUNCH | {"time": 0.1}))
     motion = solve(model, launch, 0.0, 0.4)
-    assert type(motion.legs[1][0]).__name__ == "Numeric"
+    assert type(motion.legs[1][0]).__name__ == "NumericLeg"
     row = np.array([[*LAUNCH["contact"], 0.1, LAUNCH["v0"], LAUNCH["heading"], LAUNCH["b"]]])
     times = np.linspace(0, 0.4, 81)
     np.testing.assert_allclose(
