@@ -109,7 +109,7 @@ def keep_picture(page, name, full_page=True):
 
 
 def says(page, selector, text):
-    page.locator(selector, has_text=re.compile(text)).wait_for(state="attached")
+    page.locator(selector, has_text=re.compile(text)).wait_for(state="attached", timeout=60_000)
 
 
 def test_from_a_film_to_a_number(films, browser, tmp_path):
