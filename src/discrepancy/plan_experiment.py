@@ -17,7 +17,7 @@ from discrepancy.planning.changes import CHANGES
 from discrepancy.planning.compare import (
     ChangeLimits,
     CollisionsNeeded,
-    compute_gain,
+    compute_gain_of_change,
     count_collisions_needed,
     indistinguishable_pairs,
     largest_cosine,
@@ -203,7 +203,7 @@ def plan(
             pairs=_pairs_with_advice(found, before, after, chosen, designed),
             before=before,
             tried=after,
-            gains=tuple(sorted((compute_gain(before, t, chosen) for t in after), key=lambda g: -g.naming)),
+            gains=tuple(sorted((compute_gain_of_change(before, t, chosen) for t in after), key=lambda g: -g.naming)),
             wanted=wanted,
         )
     )

@@ -16,7 +16,7 @@ from discrepancy.data.contacts import Contacts, read_contacts
 from discrepancy.data.notes import SearchNote, SearchNoteKind, sort_notes
 from discrepancy.data.prior_processing import detect_processing
 from discrepancy.data.reading import read_collisions
-from discrepancy.data.study_design import find_uniform_conditions
+from discrepancy.data.study_design import note_uniform_conditions
 from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.fitting.base_fit import Progress, check_clips, fit_base_model
 from discrepancy.fitting.model_fit import WhitenedClips
@@ -274,7 +274,7 @@ def finish_search(
         required_sigma=library.required_sigma,
         undetectable=find_undetectable(library, selection.state),
         experiment=_advise_experiment(selection, library, claims, data) if verdict is Verdict.AMBIGUOUS else "",
-        uniform=tuple(find_uniform_conditions(clips)),
+        uniform=tuple(note_uniform_conditions(clips)),
         processed=(*smoothed, *detect_processing(clips), *data.error_notes),
         interrupted=selection.interrupted,
         policy=policy,

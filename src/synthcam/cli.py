@@ -248,7 +248,7 @@ def preview(
     Example: synthcam preview scenes/painter_behringer.yaml -o frame.png
     """
     add_effect_folders(effects_dir)
-    from synthcam.dataset.preview import write_animation, write_map, write_preview
+    from synthcam.dataset.preview import write_animation, write_motion_map, write_preview
     from synthcam.scene.scene import read_scene
     from synthcam.scene.visibility import describe_unseen_balls
 
@@ -261,7 +261,7 @@ def preview(
     drawn = read.draw(clip, seed)
     summary: dict[str, Any] = {"output": str(output)}
     if from_above:
-        write_map(drawn, output)
+        write_motion_map(drawn, output)
         _print_result(summary, as_json, f"{output}: the motion of clip {clip} of {scene} from above")
     elif kind == ".png":
         write_preview(drawn, output, frame, magnify)

@@ -26,12 +26,12 @@ from tracker.camera.readers.labelled_array import is_zarr
 from tracker.camera.recordings import HelperProcesses, Recording, RecordingSource, digest_films, open_source
 from tracker.detection.choose import SelectedDetector, select_channel, select_detector
 from tracker.detection.detect import DEFAULT, detector_name, load_detector, load_linker
-from tracker.detection.own_detector import digest_detector, is_outside
+from tracker.detection.own_detector import digest_detector, is_outside_detector
 from tracker.edits import EditsSource, TrackEdits
 from tracker.notes import Note, NoteKind, make_notes
 from tracker.recording import Result, check_edits, measure_tracks, track_and_measure
-from tracker.report.misfits import MISFITS, draw_misfit, is_misfit
-from tracker.report.refusals import REFUSALS, NotedPicture, draw_refusals, is_failure
+from tracker.report.misfits import MISFITS, draw_misfit, is_misfit_clip
+from tracker.report.refusals import REFUSALS, NotedPicture, draw_refusals, is_refused_clip
 from tracker.settings import SettingsSource, TrackerSettings
 from tracker.tables.read import read_tracks
 from tracker.tables.table_options import DEFAULT_TABLE_OPTIONS, TableOptions
@@ -182,9 +182,9 @@ def _fill_results(
     check_writable(output)
     partial = output.with_name(output.name + ".partial")
     if partial.is_dir() and any(partial.iterdir()):
-        _same_or_refuse(partial, plan, [number for number in numbers if results.is_done(partial, number)])
+        _same_or_refuse(partial, plan, [number for number in numbers if results.is_clip_done(partial, number)])
     with resume_folder(partial, results.RUN, json.dumps(plan, indent=1) + "\n"):
-        todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
+        todo = [i for i, number in enumerate(numbers) if not results.is_clip_done(partial, number)]
         make(partial, todo)
         return results.finish_results(partial, output, numbers), len(todo)
 
@@ -233,7 +233,7 @@ def _plan(source: RecordingSource, detector: str | None, selected: SelectedDetec
     name = detector or (selected.name if selected else DEFAULT)
     colour = {} if source.channel == GREY else {"channel": source.channel}
     film = {"film": source.options.changed()} if source.options.changed() else {}
-    own = {"detector_file": digest_detector(name)} if is_outside(name) else {}
+    own = {"detector_file": digest_detector(name)} if is_outside_detector(name) else {}
     run = {"made_by": "tracker track", "detector": detector_name(name), "clips": len(source)}
     return run | {"input": digest_films(source)} | colour | film | own
 
@@ -250,7 +250,7 @@ def _track_clip(
 ) -> tuple[int, tuple[Note, ...]]:
     """Track one clip in a worker: its number of frames, and notes. A clip that a lost worker had finished is done."""
     number, path = source.clips[index]
-    if results.is_done(partial, number):
+    if results.is_clip_done(partial, number):
         return 0, ()
     use_one_thread()
     clip = opened or source.open_clip(index)
@@ -263,7 +263,7 @@ def _track_clip(
         asked = " x ".join(map(str, clip.frames.shape))
         raise InputError(f"{path}: not enough memory for its {asked} pixels") from None
     files, notes = dict[str, bytes](), result.notes
-    if is_failure(result.found, result.rows):
+    if is_refused_clip(result.found, result.rows):
         refusals = draw_refusals(clip, result.found)
         files, notes = {REFUSALS: refusals.png}, (*notes, refusals.note)
     elif drawn := _draw_misfit(result, len(source), clip.frames):
@@ -276,7 +276,7 @@ def _track_clip(
 
 def _draw_misfit(result: Result, clips: int, frames: Frames | None = None) -> NotedPicture | None:
     """The picture of a clip whose collisions are all misfits; of one among several, the note is the same for all."""
-    if not is_misfit(result.rows):
+    if not is_misfit_clip(result.rows):
         return None
     drawn = draw_misfit(result.found, result.camera, result.rows, result.number, frames)
     if drawn is None or clips == 1:

@@ -44,7 +44,7 @@ def clip_folder(results: Path, number: int) -> Path:
     return results / "clips" / f"{number:06d}"
 
 
-def is_done(results: Path, number: int) -> bool:
+def is_clip_done(results: Path, number: int) -> bool:
     """Test whether a clip in RESULTS is complete, by its mark."""
     return clip_folder(results, number).is_dir()
 

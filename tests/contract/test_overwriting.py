@@ -91,8 +91,8 @@ def test_preview_replaces_its_own_picture(tmp_path, monkeypatch):
         ("p.png", lambda path: preview.write_preview(clip, path, 0, 0)),
         ("p.gif", lambda path: preview.write_animation(clip, path)),
         ("p.mp4", lambda path: preview.write_animation(clip, path)),
-        ("p.png", lambda path: preview.write_map(clip, path)),
-        ("p.gif", lambda path: preview.write_map(clip, path)),
+        ("p.png", lambda path: preview.write_motion_map(clip, path)),
+        ("p.gif", lambda path: preview.write_motion_map(clip, path)),
     ):
         for _ in range(2):
             write(tmp_path / name)

@@ -359,7 +359,7 @@ def claim_alone(monkeypatch, end=None, from_zero=9.0, is_stretch=False, level=4.
     monkeypatch.setattr(claim_tests, "describe_claims", lambda *_: (claim,))
     monkeypatch.setattr(claim_tests, "make_selection", lambda *_: Made(best=None))
     monkeypatch.setattr(claim_tests, "compare_models", lambda *_: (PASSING, PASSING))
-    monkeypatch.setattr(claim_tests, "find_variation", lambda *_: Made(rejects=lambda sigma: False))
+    monkeypatch.setattr(claim_tests, "find_strength_variation", lambda *_: Made(rejects=lambda sigma: False))
     selected = selection(state=(Made(name="hop", strengths=()),))
     library = Made(evidence=Made(clips=[Made(is_stretch=is_stretch)]), required_sigma=4.2)
     (test,), *_ = claim_tests._test_effects(selected, library, HELD_OUT, level, lambda: None)

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from discrepancy.fitting.predict import measurement_context
+from discrepancy.fitting.predict import collect_measurement_context
 from synthcam.dataset.files import write_clip
 from synthcam.scene.clip import Clip
 from tracker.camera.camera import Camera, LampSettings
@@ -136,7 +136,7 @@ def _add_tracker_defect(pixels: Array, truth: Truth, camera: Camera) -> Array:
     if "lamp" in defect:
         wrong = dataclasses.replace(camera, lamp=_move_lamp(camera, defect["lamp"]))
         return wrong.centre_of_glint(camera.glint_of_centre(_on_plate(camera, pixels)))[0]
-    bent = model_of(truth).laws("measure", pixels, measurement_context(camera))
+    bent = model_of(truth).laws("measure", pixels, collect_measurement_context(camera))
     return np.asarray(bent)
 
 

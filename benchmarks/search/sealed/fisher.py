@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.launch import find_free_columns as launch_numbers
+from discrepancy.data.launch import find_free_launch_columns as launch_numbers
 from discrepancy.fitting.predict import predict_tracks
 from synthcam.effect import Effect
 from synthcam.library import library

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy.data.launch import find_free_columns as launch_numbers
+from discrepancy.data.launch import find_free_launch_columns as launch_numbers
 from synthcam.model import Model, build_model
 from tracker.camera.camera import Camera
 

@@ -25,7 +25,7 @@ MEETS_NOTHING = 2.0  # the impact parameter of a ball that touches no other
 MAX_SPIN_TO_SPEED = 10.0  # a cue gives a slip or a spin of 3 to 4 times the speed
 
 
-def find_free_columns(launches: Array) -> NDArray[np.bool_]:
+def find_free_launch_columns(launches: Array) -> NDArray[np.bool_]:
     """Which numbers of launches (clips, p) a fit may change.
 
     Not a rolling ball's slip, a side spin of zero, or time and impact parameter of a free ball.
@@ -93,7 +93,7 @@ def normal_speed(launches: Array) -> Array:
     return np.asarray(launches[:, V0] * np.sqrt(np.maximum(1 - launches[:, B] ** 2, 0.0)))
 
 
-def is_possible(launches: Array) -> bool:
+def is_possible_launch(launches: Array) -> bool:
     """True if in each of the launches (clips, p) the striker moves, and hits the target or is free."""
     hits = (np.abs(launches[:, B]) < 1) | (launches[:, B] == MEETS_NOTHING)
     return bool(np.all(hits) and np.all(launches[:, V0] > 0))

@@ -12,7 +12,7 @@ from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.policy import current_policy
 
 
-def find_uniform_conditions(clips: Sequence[MeasuredCollision]) -> list[SearchNote]:
+def note_uniform_conditions(clips: Sequence[MeasuredCollision]) -> list[SearchNote]:
     """A note for each condition (speed, impact parameter, heading) that all clips share.
 
     However many such clips there are, they cannot show what depends on that condition.

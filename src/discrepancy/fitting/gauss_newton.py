@@ -16,7 +16,7 @@ from scipy.optimize import lsq_linear
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.launch import is_possible, limit_spins
+from discrepancy.data.launch import is_possible_launch, limit_spins
 from discrepancy.fitting.jacobian import coupling_effects
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
@@ -197,7 +197,7 @@ def choose_most_likely(
 def _apply_step(whitened: WhitenedClips, fit: ModelFit, values: Mapping[str, float], own: Array) -> ModelFit | None:
     """The fit after a step, with unchanged derivatives; None where the model has no motion there."""
     launches = limit_spins(fit.launches + own)
-    if not is_possible(launches):
+    if not is_possible_launch(launches):
         return None
     try:
         model = replace_within_limits(fit.model, values)

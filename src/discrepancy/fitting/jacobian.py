@@ -9,7 +9,7 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.launch import find_free_columns
+from discrepancy.data.launch import find_free_launch_columns
 from discrepancy.fitting.parameters import difference_step, parameter_limits
 from discrepancy.fitting.predict import predict_tracks
 from synthcam.model import Model, without_mutual_push
@@ -111,7 +111,7 @@ def differentiate_launches(
 def _difference_launches(
     model: Model, launches: Array, clips: Sequence[MeasuredCollision]
 ) -> tuple[list[Array], list[Array]]:
-    (k, size), (clip, column) = launches.shape, np.nonzero(find_free_columns(launches))
+    (k, size), (clip, column) = launches.shape, np.nonzero(find_free_launch_columns(launches))
     nudged = launches[clip]
     nudged[np.arange(len(clip)), column] += LAUNCH_STEP
     every = predict_tracks(model, np.concatenate([launches, nudged]), [*clips, *(clips[i] for i in clip.tolist())])
@@ -127,7 +127,7 @@ def _difference_one_sided(model: Model, launch: Array, clip: MeasuredCollision) 
         return _difference_launches(model, launch[None], [clip])
     (here,) = predict_tracks(model, launch[None], [clip])
     slopes = np.zeros((*here.shape, len(launch)))
-    for j in np.flatnonzero(find_free_columns(launch[None])[0]).tolist():
+    for j in np.flatnonzero(find_free_launch_columns(launch[None])[0]).tolist():
         for step in (LAUNCH_STEP, -LAUNCH_STEP):
             with suppress(ValueError):
                 (there,) = predict_tracks(model, (launch + step * np.eye(len(launch))[j])[None], [clip])

@@ -133,7 +133,7 @@ def find_parameter(model: Model, name: str) -> Parameter:
     return scale_parameter(kind, own, model.ball.diameter)
 
 
-def is_known(name: str) -> bool:
+def is_known_parameter(name: str) -> bool:
     """True for a base parameter, and for a parameter of an effect that the library has."""
     return "." not in name or name.partition(".")[0] in library()
 

@@ -127,11 +127,11 @@ def _apply_camera(model: Model, camera: Camera, positions: Array, height: Array 
     )
     flat = positions if camera.warp is None else camera.warp.undo(positions)  # the nominal optics have no warp
     pixels = replace(model.laws("camera", nominal, {})).project(_spatial(flat, height))
-    pixels = model.laws("measure", pixels, measurement_context(camera))
+    pixels = model.laws("measure", pixels, collect_measurement_context(camera))
     return np.asarray(camera.unproject(pixels)[0])
 
 
-def measurement_context(camera: Camera) -> dict[str, Any]:
+def collect_measurement_context(camera: Camera) -> dict[str, Any]:
     """Collect the quantities that a tracker's defect (law "measure") may depend on, for a prediction."""
 
     def glint(seen: Array) -> Array:

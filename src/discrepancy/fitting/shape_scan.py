@@ -11,7 +11,7 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.parameters import Candidate, find_parameter
-from discrepancy.fitting.predict import measurement_context, predict_velocities
+from discrepancy.fitting.predict import collect_measurement_context, predict_velocities
 from discrepancy.fitting.response import ResponseSegment, compute_responses
 from synthcam.effect import Effect
 from synthcam.model import Model
@@ -113,7 +113,7 @@ def _misplace_tracks(here: Sequence[Array], clips: Sequence[MeasuredCollision], 
     """Displacements (n_k, 2, columns) of each clip by a defect of the tracker, carried from pixels to the plate."""
     camera, places = clips[0].camera, np.concatenate(here)
     pixels = camera.project(np.concatenate([places, np.full((len(places), 1), camera.radius)], axis=1))
-    slope, known = camera.unproject(pixels)[1], measurement_context(camera)
+    slope, known = camera.unproject(pixels)[1], collect_measurement_context(camera)
     columns = []
     for effect, size in sized:
         seen = effect.measure(pixels, *[known[a] for a in effect.laws["measure"]])  # type: ignore[attr-defined]

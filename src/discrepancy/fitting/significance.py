@@ -31,7 +31,7 @@ def chi2_to_sigma(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
     return max(-float(ndtri_exp(log_p - math.log(2))), 0.0)
 
 
-def closes_too_little(without: float, with_: float, share: float) -> bool:
+def explains_too_little(without: float, with_: float, share: float) -> bool:
     """Compare chi^2 per point with and without a claim: true if far more is missing than the claim explains.
 
     without, with_: chi^2 per point without and with the claim. share: of the excess of chi^2 per point over one that

@@ -10,7 +10,7 @@ from functools import cache
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.fitting.parameters import is_known
+from discrepancy.fitting.parameters import is_known_parameter
 from discrepancy.free_laws import laws
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.ranges import compute_ranges
@@ -48,7 +48,7 @@ def free_laws_over(model: Model, launches: Array, clips: Sequence[MeasuredCollis
     """
     covered, found = compute_ranges(model, launches, clips), []
     for law in list_free_laws():
-        if not all(is_known(name) for name, _ in law.owners):
+        if not all(is_known_parameter(name) for name, _ in law.owners):
             continue
         for ball in ("", "a", "b") if law.one_ball else ("",):
             if axes := law.over(covered[ball]):

@@ -210,7 +210,7 @@ def cubic_basis(since: Ints) -> Array:
 def group_by_length(lengths: Sequence[int], ratio: float = 1.4) -> list[list[int]]:
     """Choose which smooth stretches the noise model bundles: the longest is at most `ratio` times the shortest."""
     out: list[list[int]] = []
-    least = shortest_usable(lengths)
+    least = find_shortest_usable_length(lengths)
     for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
         if lengths[k] >= least:
             if not out or lengths[out[-1][0]] > ratio * lengths[k]:
@@ -219,7 +219,7 @@ def group_by_length(lengths: Sequence[int], ratio: float = 1.4) -> list[list[int
     return out
 
 
-def shortest_usable(lengths: Sequence[int]) -> int:
+def find_shortest_usable_length(lengths: Sequence[int]) -> int:
     """Positions that a stretch must have to show noise; fewer where no stretch is long."""
     enough = max(lengths, default=0) >= current_policy().min_stretch_positions
     return current_policy().min_stretch_positions if enough else current_policy().min_short_stretch_positions
@@ -432,7 +432,7 @@ class BallPairs:
 
     def __init__(self, pairs: Iterable[Pair]):
         given = list(pairs)
-        least = shortest_usable([len(one) for one, *_ in given])
+        least = find_shortest_usable_length([len(one) for one, *_ in given])
         self.pairs = [
             (one - one.mean(axis=0), two - two.mean(axis=0), *(float(np.sqrt(np.mean(c**2))) for c in claims), frame)
             for one, two, *claims, frame in given

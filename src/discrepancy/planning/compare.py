@@ -63,7 +63,7 @@ def limits_with_changes(
     return before, tuple(after)
 
 
-def compute_gain(before: Limits, after: ChangeLimits, of: Sequence[str]) -> ChangeGain:
+def compute_gain_of_change(before: Limits, after: ChangeLimits, of: Sequence[str]) -> ChangeGain:
     """Compute by how much a change of the experiment lowers limits, for the effects named in `of`."""
     one, other = ({x.strength: x for x in limits if x.effect in of} for limits in (before, after.limits))
     both = [(one[k], other[k]) for k in one if k in other and one[k].shows and other[k].shows]

@@ -44,7 +44,7 @@ def select_effects_and_law(library: LibraryFits, progress: Callable[[], None]) -
     opponent, beaten = laws.challenge(library.base), 0
     for state in iterate_models(library):
         opponent = laws.challenge(library.fit(state), library.rivals(state))
-        beaten = beaten + 1 if is_beaten(opponent, laws) else 0
+        beaten = beaten + 1 if is_beaten_by_law(opponent, laws) else 0
         if beaten > 1:
             break
     selection = make_selection(library, state)
@@ -152,7 +152,7 @@ def find_better_law(laws: FreeLawFits, opponent: Opponent, fewer: int = 0) -> Fi
     return min(filter(wins, laws.fitted), key=lambda law: law.score, default=None)
 
 
-def is_beaten(opponent: Opponent, laws: FreeLawFits) -> bool:
+def is_beaten_by_law(opponent: Opponent, laws: FreeLawFits) -> bool:
     """Tell if a free law with fewer effects beside it explains more than a model of the library.
 
     A free law may imitate two effects of the library. So a law without effects beside it beats a model of one effect

@@ -11,7 +11,7 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.launch import is_possible
+from discrepancy.data.launch import is_possible_launch
 from discrepancy.fitting.gauss_newton import STEP_ERRORS, fit_model, minimise_chi2, solve_step
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
@@ -121,7 +121,7 @@ def _moved(
     """
     shared, own = solve_step(fit.subtract(moves, step), 0.0, *fit.step_bounds())
     launches = fit.launches + own
-    if not is_possible(launches):
+    if not is_possible_launch(launches):
         return None
     try:
         plain = replace_within_limits(plain, dict(zip(fit.names, (fit.values() + shared).tolist(), strict=True)))
@@ -174,7 +174,7 @@ def fit_without_law(evidence: WhitenedClips, fitted_law: FittedLaw, progress: Ca
     return minimise_chi2(evidence, start, progress)
 
 
-def compare_scatter(
+def validate_clip_numbers(
     fitted_law: FittedLaw, clips: Sequence[MeasuredCollision], without: ModelFit, noise: Noise
 ) -> tuple[float, float, float]:
     """Test a law of one number for each clip on held-out clips.

@@ -15,7 +15,7 @@ from discrepancy.fitting.gauss_newton import minimise_chi2
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import Candidate, candidates_by_name
-from discrepancy.fitting.significance import closes_too_little
+from discrepancy.fitting.significance import explains_too_little
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.policy import current_policy
 from discrepancy.select.effect_claim import EffectClaim, find_similar_pairs, profile_std
@@ -165,7 +165,7 @@ def _is_significant(library: LibraryFits, fit: ModelFit, more: ModelFit, candida
     """Tell if a candidate improves the fit by the sigma that a claim needs, and closes enough of the gap."""
     least = current_policy().min_closed_share
     enough = library.convert_to_sigma(fit.chi2 - more.chi2, candidate) > library.required_sigma
-    return enough and not closes_too_little(fit.chi2 / fit.points, more.chi2 / more.points, least)
+    return enough and not explains_too_little(fit.chi2 / fit.points, more.chi2 / more.points, least)
 
 
 def choose_simplest(library: LibraryFits, keys: Collection[Key]) -> Key:

@@ -19,13 +19,13 @@ from discrepancy.fitting.jacobian import differentiate_tracks
 from discrepancy.fitting.linearise import linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips, project_out
 from discrepancy.fitting.parameters import candidates_by_name, parameter_limits
-from discrepancy.fitting.significance import chi2_to_sigma, closes_too_little
+from discrepancy.fitting.significance import chi2_to_sigma, explains_too_little
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.policy import current_policy
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.select.free_law_contest import find_replacements
-from discrepancy.select.law_fit import compare_scatter, fit_unseen_clips, fit_without_law, refit_without_effect
+from discrepancy.select.law_fit import fit_unseen_clips, fit_without_law, refit_without_effect, validate_clip_numbers
 from discrepancy.select.library_fits import LibraryFits
 from discrepancy.select.library_search import Selection, describe_claims, exchange_effect, make_selection
 from discrepancy.select.model_cost import compute_cost
@@ -129,7 +129,7 @@ def judge_predictions(held_out: HeldOutTest, leave_one_out: HeldOutTest) -> Reje
         return Rejection.LEFT_OUT_NOT_SIGNIFICANT
 
     def both_close_less_than(share: float) -> bool:
-        return all(closes_too_little(*test.gap, share) for test in (held_out, leave_one_out))
+        return all(explains_too_little(*test.gap, share) for test in (held_out, leave_one_out))
 
     weak = leave_one_out.sigma < policy.beside_free_law_sigma
     if weak and both_close_less_than(policy.min_closed_share_of_weak_claim):
@@ -256,7 +256,7 @@ class StrengthVariation:
         return self.sigma > max(current_policy().unexplained_sigma, current_policy().max_strength_variation * own)
 
 
-def find_variation(evidence: WhitenedClips, fit: ModelFit, strengths: Sequence[str]) -> StrengthVariation:
+def find_strength_variation(evidence: WhitenedClips, fit: ModelFit, strengths: Sequence[str]) -> StrengthVariation:
     """Test if a claim is constant: find the quantity that its strengths change with most.
 
     If the strength changes with position, clip or time, the residuals contain its signature times that change, to first
@@ -466,7 +466,7 @@ def _test_effects(
                     without[candidate.name], rejection = other, Rejection.REPLACED
                     break
         elif not rejection:
-            found = find_variation(library.evidence, selection.best, candidate.strengths)
+            found = find_strength_variation(library.evidence, selection.best, candidate.strengths)
             if found.rejects(claim.sigma):
                 rejection, variation = Rejection.VARIES, found
         test = ClaimTest(candidate.name, claim.sigma, *predictions, rejection, from_zero=from_zero)
@@ -536,7 +536,7 @@ def _predict_with_law(
     without = held_out.fit(empty, progress)
     if without is None or not free_law.law.is_per_clip:
         return compare_predictions(own, (without, with_), (leave_one_out_residuals(empty), residuals), held_out)
-    gain, promised, std = compare_scatter(free_law, held_out.clips, without, held_out.noise)
+    gain, promised, std = validate_clip_numbers(free_law, held_out.clips, without, held_out.noise)
     before, std = without.chi2 / without.points, max(std, 1e-9)
     unseen = HeldOutTest((before, before - gain / without.points), gain / std, promised / std)
     gain += compute_cost(empty, selection.base) - free_law.score  # in the clips fitted

@@ -164,7 +164,7 @@ def _multiply_by_bands(tiles: Float32, blur: Float32) -> Float32:
     return out
 
 
-class PixelPatches:
+class BallSquares:
     """Squares of pixels, one for each frame and ball in view, wide enough for the ball, its motion and the blur.
 
     A patch depends on its own frame alone. origins: first column and row (P, 2). widths: (P,) px. number: the patch of

@@ -18,7 +18,7 @@ BLACK_PLATE_RADIANCE = 0.05  # of the plate under the lamp, over that of the roo
 SMALL_LAMP_M = 0.03  # radius of a disc below which its shadows are those of a point
 
 
-def is_plain(lamp: Lamp, surface: Surface) -> bool:
+def is_plain_plate(lamp: Lamp, surface: Surface) -> bool:
     """Tell whether a small lamp faces down on a dull, even plate without shadows."""
     even = not (surface.plate_gloss or surface.plate_texture or surface.plate_shadow)
     return even and lamp.second is None and lamp.towards is None and lamp.shape == "disc" and lamp.radius < SMALL_LAMP_M

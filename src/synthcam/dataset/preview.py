@@ -109,7 +109,7 @@ def write_animation(clip: Clip, path: Path) -> float:
     return slower
 
 
-def write_map(clip: Clip, path: Path) -> None:
+def write_motion_map(clip: Clip, path: Path) -> None:
     """Preview the motion of a clip from above: paths, walls and events as .png, or moving bodies as .gif or .mp4."""
 
     motion, kind = clip.solve(), path.suffix.lower()

@@ -37,7 +37,7 @@ from synthcam.dynamics.launch import LaterLaunch, Launch
 from synthcam.dynamics.propagate import MAX_SPEED_M_S, propagate, propagate_back
 from synthcam.dynamics.start_from_rest import MIN_IMPACT_SPEED_OF_PAIR_M_S, excess_push
 from synthcam.dynamics.supports import Support
-from synthcam.dynamics.tabletop import ContactChanges, Table
+from synthcam.dynamics.tabletop import ImpactChanges, Table
 from synthcam.dynamics.trajectory import (
     CarriedLeg,
     Event,
@@ -114,7 +114,7 @@ class _EventLoop:
         self.start, self.t = start, launch.time
         self.table = table
         changed = table.scatter.active or table.plate_share or table.contact_duration
-        self.changes = ContactChanges(table, model.gravity) if changed else None
+        self.changes = ImpactChanges(table, model.gravity) if changed else None
         self.events: list[Event] = []
         self.rolled: set[int] = set()  # balls whose slide ended at a bounce: slip in a flight is not a slide
         laws = model.laws

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from synthcam.dynamics.contacts.impact import ContactChange
+from synthcam.dynamics.contacts.impact import ImpactChange
 from synthcam.dynamics.contacts.lasting import ContactSpring
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.supports import Support
@@ -41,14 +41,14 @@ class ContactScatter:
     def active(self) -> bool:
         return bool(self.restitution or self.friction or self.normal or self.distance)
 
-    def draw(self, rng: np.random.Generator, further: float) -> ContactChange:
+    def draw(self, rng: np.random.Generator, further: float) -> ImpactChange:
         """Draw what changes the next contact. further: distance of the centres less the radii, m."""
         one, two, three = rng.standard_normal(3).tolist()
         shift, factor, turn = self.restitution * one, max(1 + self.friction * two, 0.0), self.normal * three
         drawn = {"restitution_shift": shift, "friction_factor": factor, "normal_turn": turn}
         if self.distance:
             drawn["distance_shift"] = further
-        return ContactChange(shift, factor, turn, drawn=drawn)
+        return ImpactChange(shift, factor, turn, drawn=drawn)
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Table:
     plate_share: float = 0.0
 
 
-class ContactChanges:
+class ImpactChanges:
     """The influences on the contacts of one run: chance, a contact duration, and the plate. gravity: m/s^2."""
 
     def __init__(self, table: Table, gravity: float) -> None:
@@ -91,12 +91,12 @@ class ContactChanges:
         self.chance = np.random.default_rng(table.scatter.seed) if table.scatter.active else None
         self.slowest = gravity * table.contact_duration / 2
 
-    def draw(self, t: float, balls: tuple[int, ...], further: float = 0.0, spring: bool = False) -> ContactChange:
+    def draw(self, t: float, balls: tuple[int, ...], further: float = 0.0, spring: bool = False) -> ImpactChange:
         """Draw what changes an impact of two bodies, or of one on a wall, at the time t, s.
 
         further: distance of two centres less the radii, m. spring: the contact lasts, so no impact follows another.
         """
-        change, duration = ContactChange(), self.table.contact_duration
+        change, duration = ImpactChange(), self.table.contact_duration
         if len(balls) == 2:
             if self.chance:
                 change = self.table.scatter.draw(self.chance, further)

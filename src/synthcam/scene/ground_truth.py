@@ -11,7 +11,7 @@ import pandas as pd
 
 from synthcam.camera.occlusion import compute_hidden_shares
 from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
-from synthcam.dynamics.contacts.impact import join_inertia
+from synthcam.dynamics.contacts.impact import combine_inertia_factors
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.trajectory import Event, Trajectory
@@ -82,7 +82,7 @@ def _spin_transfer(bodies: Bodies, hit: Event) -> float:
     u_t = approach - (approach @ n) * n + np.cross((radius[:, None] * before[:, 6:9]).sum(axis=0), n)
     inertia = bodies.inertia[[hit.i, hit.j]]
     impulse = mass[1] * radius[1] / (1 / inertia[1]) * np.linalg.norm(after[1, 6:9] - before[1, 6:9])
-    joint = join_inertia(inertia[0], mass[0], inertia[1], mass[1])
+    joint = combine_inertia_factors(inertia[0], mass[0], inertia[1], mass[1])
     return float(impulse / (2 * joint * mass[0] * mass[1] / mass.sum() * np.linalg.norm(u_t)))
 
 

@@ -172,7 +172,7 @@ def _ways(seen: Sequence[BallSighting], diameter: float) -> dict[str, tuple[floa
     out = {}
     contacts = [(t.distance, t.std) for s in seen for t in s.contact_distances]
     if contacts:
-        distance, std = inverse_variance_mean(contacts)  # of the glints, which are what is tracked without a lamp
+        distance, std = average_contact_distances(contacts)  # of the glints, which are what is tracked without a lamp
         if any(s.encoded for s in seen):
             # encoders show slow balls late, so that all contacts share a quarter of the error of one
             std = math.hypot(std, 0.25 * float(np.median([one for _, one in contacts])))
@@ -185,7 +185,7 @@ def _ways(seen: Sequence[BallSighting], diameter: float) -> dict[str, tuple[floa
     return out
 
 
-def inverse_variance_mean(values: list[tuple[float, float]]) -> tuple[float, float]:
+def average_contact_distances(values: list[tuple[float, float]]) -> tuple[float, float]:
     """Average the distances at the contacts of a calibration, with the error, without strays."""
     value, std = np.array(values).T
     off = np.abs(value - np.median(value))

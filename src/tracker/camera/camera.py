@@ -26,7 +26,7 @@ from tracker.camera.camera_json import (
     read_source,
 )
 from tracker.camera.camera_keys import VIEW_ERROR_COUNT
-from tracker.camera.lens import Array, distort, mirror_normal, undistort
+from tracker.camera.lens import Array, distort, find_mirror_normal, undistort
 from tracker.camera.sensor import SensorSpec
 from tracker.camera.warp import Warp
 
@@ -254,7 +254,7 @@ class Camera:
         """Unit normals (..., 3) of balls about positions (..., 3), m, where they mirror the lamp. start: near them."""
         if self.lamp is None:
             raise InputError("camera: lamp is missing, expected its position for the position of a glint")
-        return mirror_normal(middle, self.radius, self.position, np.array(self.lamp.position), start)
+        return find_mirror_normal(middle, self.radius, self.position, np.array(self.lamp.position), start)
 
     def centre_of_glint(self, glints: ArrayLike) -> tuple[Array, Array]:
         """Convert the pixels of glints to those of the balls' centres.

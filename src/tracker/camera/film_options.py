@@ -109,7 +109,7 @@ def parse_colour(text: str) -> str:
         raise InputError(f"--colour: unknown {text!r}, expected #rrggbb or a name such as orange") from None
 
 
-def read_area(region: str, mask: str, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+def read_search_area(region: str, mask: str, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
     """Read the options --region and --mask of a film: the pixels (h, w) of the search, or None. Raises InputError."""
     if not region and not mask:
         return None

@@ -148,7 +148,7 @@ def drop_repeated(frames: Frames, changes: Array) -> Frames:
     return out
 
 
-def find_stride(numbers: Ints) -> int:
+def find_frame_stride(numbers: Ints) -> int:
     """The number of frame times between neighbours where all frames are whole multiples of it apart."""
     steps = np.diff(numbers)
     return max(int(np.gcd.reduce(steps)), 1) if len(steps) else 1

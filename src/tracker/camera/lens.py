@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def mirror_normal(centres: Array, radius: float, eye: Array, light: Array, start: Array | None = None) -> Array:
+def find_mirror_normal(centres: Array, radius: float, eye: Array, light: Array, start: Array | None = None) -> Array:
     """Unit normals (n, 3) of spheres (n, 3) at which an eye sees a point of light.
 
     The normal halves the angle between the directions to light and eye. It is iterated from upright or from `start`,
@@ -66,7 +66,7 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.sqrt(x * x + y * y + z * z)[..., None], dtype=np.float64)
 
 
-def pair_normal(centres: Array, others: Array, radius: float, eye: Array, light: Array) -> Array:
+def find_secondary_mirror_normal(centres: Array, others: Array, radius: float, eye: Array, light: Array) -> Array:
     """Unit normals (n, 3) of spheres (n, 3) at which an eye sees a light after a reflection at the spheres ``others``.
 
     Both reflections halve their angles; steps are damped, for close spheres turn each other's rays strongly.

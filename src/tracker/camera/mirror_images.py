@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tracker.camera.camera import Camera
-from tracker.camera.lens import Array, mirror_normal, pair_normal
+from tracker.camera.lens import Array, find_mirror_normal, find_secondary_mirror_normal
 
 
 def locate_zenith_point(camera: Camera, glints: ArrayLike, share: float) -> Array:
@@ -22,7 +22,9 @@ def locate_zenith_point(camera: Camera, glints: ArrayLike, share: float) -> Arra
         return seen.copy()
     middle = camera.ball_of_glint(seen)
     overhead = np.concatenate([middle[..., :2], np.full_like(middle[..., :1], 1e6)], axis=-1)
-    zenith = camera.project(middle + camera.radius * mirror_normal(middle, camera.radius, camera.position, overhead))
+    zenith = camera.project(
+        middle + camera.radius * find_mirror_normal(middle, camera.radius, camera.position, overhead)
+    )
     centre = camera.project(middle)
     return np.asarray(centre + share * (zenith - centre), dtype=np.float64)
 
@@ -33,7 +35,7 @@ def locate_secondary_glints(camera: Camera, glints: ArrayLike, others: ArrayLike
     glints, others: (n, 2), px, primary glints of the balls, and of a neighbour of each.
     """
     middle, other, lamp = _find_pairs(camera, glints, others)
-    normal = pair_normal(middle, other, camera.radius, camera.position, lamp)
+    normal = find_secondary_mirror_normal(middle, other, camera.radius, camera.position, lamp)
     return camera.project(middle + camera.radius * normal)
 
 
@@ -47,8 +49,8 @@ def secondary_flux_ratio(camera: Camera, glints: ArrayLike, others: ArrayLike) -
     moved = [lamp, *(lamp + 0.03 * lamp[2] * axis for axis in np.eye(3)[:2])]
     areas = []
     for normals in (
-        [pair_normal(middle, other, camera.radius, camera.position, light) for light in moved],
-        [mirror_normal(middle, camera.radius, camera.position, light) for light in moved],
+        [find_secondary_mirror_normal(middle, other, camera.radius, camera.position, light) for light in moved],
+        [find_mirror_normal(middle, camera.radius, camera.position, light) for light in moved],
     ):
         still, by_x, by_y = (camera.project(middle + camera.radius * normal) for normal in normals)
         areas.append(np.abs(np.linalg.det(np.stack([by_x - still, by_y - still], axis=-1))))

@@ -21,12 +21,12 @@ from synthcam_shared.jobs import Progress
 from tracker.camera.camera import Camera
 from tracker.camera.camera_notes import describe_frame_rate
 from tracker.camera.fields import separate_or_note
-from tracker.camera.film_options import DEFAULT_OPTIONS, BallExample, FilmOptions, parse_frames, read_area
-from tracker.camera.frame_times import find_stride, rates_agree
+from tracker.camera.film_options import DEFAULT_OPTIONS, BallExample, FilmOptions, parse_frames, read_search_area
+from tracker.camera.frame_times import find_frame_stride, rates_agree
 from tracker.camera.frames import GREY, Frame, Frames, linearise_counts
 from tracker.camera.readers.array_file import ARRAYS, read_array_file
 from tracker.camera.readers.labelled_array import HDF5, is_zarr, read_labelled_array
-from tracker.camera.readers.picture_folder import PICTURES, TIFF, is_hidden, list_pictures, read_picture_folder
+from tracker.camera.readers.picture_folder import PICTURES, TIFF, is_hidden_file, list_pictures, read_picture_folder
 from tracker.camera.readers.tiff_stack import read_tiff_stack
 from tracker.notes import COLOUR_TO_GREY, MADE_LINEAR, NO_CAMERA_FILE, Note, NoteKind, make_notes
 
@@ -143,7 +143,7 @@ def make_recording(
                 f"{frames.numbers[-1]}"
             )
     return replace(
-        clip, frames=frames, area=read_area(options.region, options.mask, (height, width)), balls=options.balls()
+        clip, frames=frames, area=read_search_area(options.region, options.mask, (height, width)), balls=options.balls()
     )
 
 
@@ -207,7 +207,7 @@ def _set_times(frames: Frames, camera: Camera, options: FilmOptions) -> tuple[Fr
     frames = copy(frames)
     if options.times == "even":
         frames.numbers, frames.seconds = np.arange(len(frames)), None
-    stride = find_stride(frames.numbers)
+    stride = find_frame_stride(frames.numbers)
     rate = frames.fps
     if options.times == "file":
         if not rate > 0:
@@ -276,7 +276,7 @@ def _find_clips(path: Path | str, camera: Path | str | None) -> RecordingSource:
 def _dataset(location: Path, camera: Path | None) -> RecordingSource:
     clips = []
     for folder in sorted((location / "clips").iterdir()):
-        if folder.is_dir() and not is_hidden(folder) and folder.name.isdecimal():
+        if folder.is_dir() and not is_hidden_file(folder) and folder.name.isdecimal():
             film = _film(folder)
             if film is None:
                 raise InputError(

@@ -101,10 +101,10 @@ def estimate_pixel_noise(sample: list[NDArray[Any]]) -> float:
     differences = steps[np.any(steps != 0.0, axis=(1, 2))].ravel()  # a repeated frame shows no noise
     if len(differences) == 0:
         return ROUNDING_NOISE_COUNTS
-    return max(spread_at_rest(differences) / math.sqrt(2.0), ROUNDING_NOISE_COUNTS)
+    return max(estimate_noise_at_rest(differences) / math.sqrt(2.0), ROUNDING_NOISE_COUNTS)
 
 
-def spread_at_rest(change: NDArray[np.float32]) -> float:
+def estimate_noise_at_rest(change: NDArray[np.float32]) -> float:
     """Estimate the noise of a plate whose pixels rest: their change between frames in which no ball moves there."""
     spread = float(np.std(change))
     for _ in range(4):

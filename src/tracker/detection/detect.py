@@ -37,7 +37,7 @@ from tracker.detection.detector import (
     View,
 )
 from tracker.detection.glints import Glints
-from tracker.detection.own_detector import as_detector, describe_fault, is_outside, load_outside, short_name
+from tracker.detection.own_detector import as_detector, describe_fault, is_outside_detector, load_outside, short_name
 from tracker.detection.shared_frames import share_frames
 from tracker.settings import LinkSettings, TrackerSettings
 
@@ -79,7 +79,7 @@ def load_detector(name: DetectorChoice) -> DetectorClass:
     if not isinstance(name, str):
         return as_detector(name)
     name = _split_linker(name)[0]
-    if is_outside(name):
+    if is_outside_detector(name):
         return load_outside(name)
     if name in {module.name for module in pkgutil.iter_modules(detector_files.__path__)}:
         return _load_file(name)  # without importing all others
@@ -119,7 +119,7 @@ def detector_name(name: DetectorChoice) -> str:
     """Name a detector for messages and files."""
     if not isinstance(name, str):
         return str(getattr(name, "__name__", type(name).__name__))
-    return short_name(name) if is_outside(name) else name
+    return short_name(name) if is_outside_detector(name) else name
 
 
 def find_detected_point(name: DetectorChoice, camera: Camera) -> Point:

@@ -22,7 +22,7 @@ from tracker.detection.detector import DetectorClass, FrameDetector, View
 from tracker.detection.glints import Glints
 
 
-def is_outside(name: str) -> bool:
+def is_outside_detector(name: str) -> bool:
     """Tell whether a name stands for a file, FILE.py or FILE.py:NAME, or for MODULE:NAME."""
     return ":" in name or name.endswith(".py")
 

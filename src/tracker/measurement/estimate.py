@@ -68,7 +68,7 @@ from tracker.measurement.collision.contacts import (
 )
 from tracker.measurement.collision.departures import LawDeparture
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
-from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_frames_within
+from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_contact_frames
 from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.collision.noise_correlation import variance_of_residuals
 from tracker.measurement.collision.rolling_losses import compare_losses
@@ -389,7 +389,7 @@ def _fit(
     """
     tries = partial(fit_lasting_collision, candidate, camera.ball_diameter, earlier, settings)
     lasting: CollisionFits | str | None = None
-    if is_wide := count_frames_within(candidate, camera.ball_diameter) >= min_frames_within:
+    if is_wide := count_contact_frames(candidate, camera.ball_diameter) >= min_frames_within:
         lasting = tries()
         if isinstance(lasting, CollisionFits) and lasting.lasting is not None:
             return add_camera_errors_to_lasting(lasting, camera), []

@@ -44,7 +44,7 @@ def repair_tracks(tracks: Tracks, camera: Camera, clip: int | None = None) -> Re
     if not np.array_equal(order, np.arange(len(order))):
         tracks = _select(tracks, order)
     notes, diameter = list[Note](), camera.diameter_px
-    lost = find_unreachable(tracks, diameter)[1]
+    lost = find_unreachable_positions(tracks, diameter)[1]
     # a point on the path of another ball may be one of an exchange
     lost[lost] = ~_is_near_another(tracks, lost, diameter)
     kept, lost_frames = _select(tracks, np.flatnonzero(~lost)), tracks.frame[lost].tolist()
@@ -59,7 +59,7 @@ def repair_tracks(tracks: Tracks, camera: Camera, clip: int | None = None) -> Re
     if unsure:
         text = f"balls may exchange their numbers in {_name_frames(unsure)}; they move too far in a frame to be certain"
         notes.append(Note(NoteKind.REPAIR, text, clip, tuple(unsure)))
-    renumbered, gone = find_unreachable(tracks, diameter)
+    renumbered, gone = find_unreachable_positions(tracks, diameter)
     lost_frames += tracks.frame[gone].tolist()
     if lost_frames:
         every = sorted(set(lost_frames))
@@ -140,7 +140,9 @@ def _cycles(found: NDArray[np.intp]) -> Iterator[list[int]]:
             yield cycle
 
 
-def find_unreachable(tracks: Tracks, diameter: float, *, min_path_positions: int = 5) -> tuple[Ints, NDArray[np.bool_]]:
+def find_unreachable_positions(
+    tracks: Tracks, diameter: float, *, min_path_positions: int = 5
+) -> tuple[Ints, NDArray[np.bool_]]:
     """Numbers of particles, new ones for paths far from a ball's own, and the rows of lost points.
 
     min_path_positions: positions that make a path of their own.

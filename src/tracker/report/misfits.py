@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MISFITS = "misfit.png"  # beside the tracks of a clip
 
 
-def is_misfit(rows: Sequence[Mapping[str, Any]]) -> bool:
+def is_misfit_clip(rows: Sequence[Mapping[str, Any]]) -> bool:
     """True if a clip gets a picture of misfits: it has measured collisions, and all of them are misfits."""
     measured = [row["status"] for row in rows if row["status"] in MEASURED]
     return len(measured) > 0 and set(measured) == {MISFIT}

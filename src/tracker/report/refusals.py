@@ -34,7 +34,7 @@ class NotedPicture:
     note: Note
 
 
-def is_failure(tracks: Tracks, rows: Sequence[Mapping[str, Any]]) -> bool:
+def is_refused_clip(tracks: Tracks, rows: Sequence[Mapping[str, Any]]) -> bool:
     """True if a clip gets a picture of refusals: no track, or no collision, unless only the scale is missing."""
     states = [str(row["status"]) for row in rows]
     return len(tracks) == 0 or not any(state in (*MEASURED, CROWD, NO_SCALE, ONE_BALL) for state in states)

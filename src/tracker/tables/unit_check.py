@@ -29,7 +29,7 @@ class TouchingDistance:
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestDistance:
     """How near two balls come, in the unit of a table, compared with a diameter.
 
     Attributes
@@ -66,7 +66,7 @@ class UnitEvidence:
 
     Attributes
     ----------
-    nearest : Nearest
+    nearest : NearestDistance
     spread : float
         The largest extent of a clip, in the unit of the table.
     is_beyond_picture : bool
@@ -79,7 +79,7 @@ class UnitEvidence:
         Whether `unit` explains it roughly, and well while px does not.
     """
 
-    nearest: Nearest
+    nearest: NearestDistance
     spread: float
     is_beyond_picture: bool
     unit: str
@@ -128,7 +128,7 @@ def _measure_unit(pairs: Sequence[tuple[Tracks, CommonFrames]], camera: Camera) 
     )
 
 
-def _measure_nearest(pairs: Sequence[tuple[Tracks, CommonFrames]], camera: Camera) -> Nearest:
+def _measure_nearest(pairs: Sequence[tuple[Tracks, CommonFrames]], camera: Camera) -> NearestDistance:
     """Measure how near two balls come: at their contacts, or else at their closest approach."""
     approaches = sorted(_closest_approach(*pair) for _, pair in pairs)
     least, step = approaches[(len(pairs) - 1) // 4]
@@ -137,11 +137,11 @@ def _measure_nearest(pairs: Sequence[tuple[Tracks, CommonFrames]], camera: Camer
         # lasting contacts bring centres of rubber a few per cent nearer; a scale has errors that no file states
         off = 0.04 + 3 * math.hypot(contact.error, camera.ball_diameter_std / camera.ball_diameter)
         wide = max(off, 0.1)
-        return Nearest(contact.distance, least, True, (-off, off), (-wide, wide), off)
+        return NearestDistance(contact.distance, least, True, (-off, off), (-wide, wide), off)
     # the least distance is a diameter, as far as the frames resolve it
     unresolved = min(math.log(least / (least - step)), 0.7) if step < least else 0.7
     bounds = (-0.1, max(0.1, unresolved))
-    return Nearest(least, least, False, bounds, bounds, 0.25)
+    return NearestDistance(least, least, False, bounds, bounds, 0.25)
 
 
 def _judge_unit(evidence: UnitEvidence, camera: Camera, where: str) -> list[str]:

@@ -15,8 +15,8 @@ from discrepancy.data.launch import (
     Y,
     allow_side_spin,
     equalise_launches,
-    find_free_columns,
-    is_possible,
+    find_free_launch_columns,
+    is_possible_launch,
     limit_spins,
     normal_speed,
 )
@@ -42,10 +42,10 @@ def test_the_normal_speed_is_the_part_along_the_line_of_centres():
 
 @pytest.mark.parametrize(("column", "value"), [(V0, 0.0), (V0, -0.1), (B, 1.0), (B, -1.2)])
 def test_a_striker_that_rests_or_misses_is_no_launch(column, value):
-    assert is_possible(HITS)
+    assert is_possible_launch(HITS)
     wrong = HITS.copy()
     wrong[1, column] = value
-    assert not is_possible(wrong)
+    assert not is_possible_launch(wrong)
 
 
 @pytest.mark.parametrize(("side", "start"), [((), 5e-4), ((0.0, 0.0, 0.0), 5e-4), ((0.0, 0.1, -0.02), -0.02)])
@@ -54,14 +54,14 @@ def test_a_striker_without_side_spin_starts_from_a_small_one(side, start):
     found = allow_side_spin(np.array([*HITS[0], *side]))
     assert found[SIDE] == pytest.approx(start)
     assert found[SLIP].tolist() == list(side[:2] or (0.0, 0.0))
-    assert find_free_columns(found[None])[0, SIDE]
+    assert find_free_launch_columns(found[None])[0, SIDE]
 
 
 def test_a_ball_that_rolls_has_no_slip_to_be_fitted():
     rolls, spins, slides = HITS[0], [*HITS[0], 0.0, 0.0, 0.1], [*HITS[0], 0.0, -0.1, 0.0]
     every = np.array(equalise_launches([rolls, np.array(spins), np.array(slides)]))
-    assert find_free_columns(every)[:, :6].all()
-    assert find_free_columns(every)[:, 6:].tolist() == [[False] * 3, [False, False, True], [True, True, False]]
+    assert find_free_launch_columns(every)[:, :6].all()
+    assert find_free_launch_columns(every)[:, 6:].tolist() == [[False] * 3, [False, False, True], [True, True, False]]
     assert [len(one) for one in equalise_launches([rolls, np.array([*rolls, 0.0, 0.0, 0.0])])] == [6, 6]
 
 
@@ -75,8 +75,8 @@ def test_where_strikers_spin_that_no_rejected_model_tells_each_may(rejected, tol
     every = np.array(
         equalise_launches(told * [spins] + 8 * [rolls], told * [False] + rejected * [True] + (8 - rejected) * [False])
     )
-    assert find_free_columns(every)[told:, 8].all() == each
-    assert find_free_columns(every)[:told, 8].all()
+    assert find_free_launch_columns(every)[told:, 8].all() == each
+    assert find_free_launch_columns(every)[:told, 8].all()
 
 
 def test_a_striker_whose_slide_has_all_but_ended_rolls():
@@ -99,8 +99,8 @@ def test_no_striker_spins_far_faster_than_it_moves():
 
 def test_where_most_strikers_spin_each_may():
     rolls, spins = HITS[0], np.array([*HITS[0], 0.0, 0.0, 0.1])
-    assert find_free_columns(np.array(equalise_launches([rolls, spins, -spins])))[:, SIDE].all()
-    assert find_free_columns(np.array(equalise_launches([rolls, rolls, spins])))[:, SIDE].tolist() == [
+    assert find_free_launch_columns(np.array(equalise_launches([rolls, spins, -spins])))[:, SIDE].all()
+    assert find_free_launch_columns(np.array(equalise_launches([rolls, rolls, spins])))[:, SIDE].tolist() == [
         False,
         False,
         True,

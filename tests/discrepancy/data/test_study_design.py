@@ -9,7 +9,7 @@ from discrepancy_clips import exact
 
 from discrepancy.data.launch import B
 from discrepancy.data.notes import SearchNoteKind
-from discrepancy.data.study_design import find_uniform_conditions, split_held_out
+from discrepancy.data.study_design import note_uniform_conditions, split_held_out
 from synthcam.model import Model
 
 
@@ -26,21 +26,21 @@ def alike(**same):
 
 
 def test_what_clips_that_are_all_alike_cannot_tell():
-    assert find_uniform_conditions(alike()) == []
+    assert note_uniform_conditions(alike()) == []
     for same, word in (({"speed": 0.3}, "at 0.3 m/s"), ({"b": 0.1}, "b near 0.10"), ({"heading": 3.14}, "one way")):
-        said = find_uniform_conditions(alike(**same))
+        said = note_uniform_conditions(alike(**same))
         assert len(said) == 1
         assert word in str(said[0])
-    assert len(find_uniform_conditions(alike(speed=0.3, b=0.0, heading=0.0))) == 3
+    assert len(note_uniform_conditions(alike(speed=0.3, b=0.0, heading=0.0))) == 3
 
 
 def test_one_speed_hides_what_hangs_on_it():
     """Restitution hangs on the speed along the line of centres; friction on one that falls to zero in a clip."""
     same = alike(speed=0.3)
-    (said,) = find_uniform_conditions(same)
+    (said,) = note_uniform_conditions(same)
     assert "hardly show how restitution or spin transfer depends on the speed" in str(said)
     wide = [dataclasses.replace(c, launch=np.r_[c.launch[:B], 0.2 * c.clip - 0.7]) for c in same]
-    (said,) = find_uniform_conditions(wide)
+    (said,) = note_uniform_conditions(wide)
     assert "hardly show how spin transfer depends on the speed" in str(said)
 
 
@@ -55,13 +55,13 @@ def launched(**columns):
 
 @pytest.mark.parametrize(("widest", "told"), [(22, False), (40, True)])
 def test_headings_within_thirty_degrees_of_their_mean_are_one_way(widest, told):
-    said = find_uniform_conditions(launched(heading=np.linspace(-widest, widest, 9), b=np.linspace(-0.5, 0.5, 9)))
+    said = note_uniform_conditions(launched(heading=np.linspace(-widest, widest, 9), b=np.linspace(-0.5, 0.5, 9)))
     assert any(note.kind is SearchNoteKind.ONE_HEADING for note in said) is not told
 
 
 @pytest.mark.parametrize(("span", "told"), [(0.035, False), (0.07, True)])
 def test_impact_parameters_that_span_a_twentieth_are_one(span, told):
-    notes = find_uniform_conditions(launched(b=0.2 + np.linspace(0, span, 9)))
+    notes = note_uniform_conditions(launched(b=0.2 + np.linspace(0, span, 9)))
     assert any(note.kind is SearchNoteKind.ONE_IMPACT_PARAMETER for note in notes) is not told
 
 

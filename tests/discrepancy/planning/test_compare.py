@@ -7,7 +7,7 @@ import pytest
 
 from discrepancy.planning.compare import (
     ChangeLimits,
-    compute_gain,
+    compute_gain_of_change,
     count_collisions_needed,
     indistinguishable_pairs,
     largest_cosine,
@@ -26,7 +26,7 @@ BEFORE = (limit("one", 0.4, "two", 0.95), limit("two", 0.1, "one", 0.95))
 
 def test_a_gain_is_the_mean_ratio_and_the_pairs_parted():
     after = ChangeLimits("c", "words", (limit("one", 0.1, "two", 0.6), limit("two", 0.1, "one", 0.6)))
-    found = compute_gain(BEFORE, after, ["one", "two"])
+    found = compute_gain_of_change(BEFORE, after, ["one", "two"])
     assert found.limit == pytest.approx(2.0)
     assert found.naming == pytest.approx(2 * 0.8 / math.sqrt(1 - 0.95**2))
     assert found.parts == (("one", "two"),)
@@ -35,7 +35,7 @@ def test_a_gain_is_the_mean_ratio_and_the_pairs_parted():
 
 def test_an_effect_that_no_longer_shows_is_not_parted_but_hidden():
     after = ChangeLimits("c", "words", (limit("one", 0.1, "two", 0.6, shows=False), limit("two", 0.1, "one", 0.6)))
-    found = compute_gain(BEFORE, after, ["one", "two"])
+    found = compute_gain_of_change(BEFORE, after, ["one", "two"])
     assert found.parts == ()
     assert found.hides == ("one.x",)
     assert found.limit == pytest.approx(1.0)

@@ -14,7 +14,7 @@ from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
-from discrepancy.select.free_law_contest import FreeLawFits, find_better_law, find_winning_law, is_beaten
+from discrepancy.select.free_law_contest import FreeLawFits, find_better_law, find_winning_law, is_beaten_by_law
 from discrepancy.select.law_fit import fit_law, fit_unseen_clips, score_law, whiten_law_columns
 from discrepancy.select.model_cost import compute_cost
 from synthcam.model import Model
@@ -89,7 +89,7 @@ def test_a_fit_of_the_truth_leaves_no_free_law_significant():
     assert laws.challenge(base).is_refuted
     after = laws.challenge(right)
     assert not after.is_refuted
-    assert not is_beaten(after, laws)
+    assert not is_beaten_by_law(after, laws)
     assert find_better_law(laws, after) is find_winning_law(laws, after) is None
 
 

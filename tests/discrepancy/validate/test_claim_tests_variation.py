@@ -11,7 +11,7 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.validate.claim_tests import StrengthVariation, find_variation
+from discrepancy.validate.claim_tests import StrengthVariation, find_strength_variation
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -23,7 +23,7 @@ def fitted(hidden, name, seed):
     clips = collisions(dataclasses.replace(Model(), effects=(hidden,)), 16, seed)
     base = fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED)
     best = fit_model(clips, Model(), [*BASE_PARAMETERS, name], CLAIMED, base.launches)
-    return np.sqrt(base.chi2 - best.chi2), find_variation(WhitenedClips.of(clips, CLAIMED), best, [name])
+    return np.sqrt(base.chi2 - best.chi2), find_strength_variation(WhitenedClips.of(clips, CLAIMED), best, [name])
 
 
 @pytest.mark.gate

@@ -49,7 +49,7 @@ def test_a_film(clip, tmp_path, name):
 def test_a_map_from_above_needs_no_film(name, tmp_path, monkeypatch):
     monkeypatch.delattr(Clip, "pictures")
     clip = plan().clip(1)
-    preview.write_map(clip, tmp_path / name)
+    preview.write_motion_map(clip, tmp_path / name)
     assert [p.name for p in tmp_path.iterdir()] == [name]
     frames = frames_of(tmp_path / name) if name == "map.gif" else [iio.imread(tmp_path / name)[..., 0]]
     assert len(frames) == (clip.frames + 1 if name == "map.gif" else 1)  # up to the end of the last frame

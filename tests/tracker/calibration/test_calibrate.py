@@ -16,7 +16,7 @@ from tracker_video import encode
 from synthcam_shared.errors import InputError
 from tracker.calibration import calibrate as calibration
 from tracker.calibration.ball_outline import measure_outline
-from tracker.calibration.calibrate import calibrate, inverse_variance_mean, summarise_calibration
+from tracker.calibration.calibrate import average_contact_distances, calibrate, summarise_calibration
 from tracker.camera.camera import Camera
 from tracker.detection import contact_distance
 from tracker.detection.candidates import EmptyPlate
@@ -83,7 +83,7 @@ def test_every_hit_of_a_long_film_counts():
     found = contact_distances(Tracks(**columns))
     assert [int(contact.instant // 30) for contact in found] == [0, 1, 2]
     each = [(contact.distance, contact.std) for contact in found]
-    mean, std = inverse_variance_mean([*each, *each, (17.0, 0.05)])
+    mean, std = average_contact_distances([*each, *each, (17.0, 0.05)])
     assert abs(mean - 14.875) < 4 * std < 0.3
 
 
@@ -147,8 +147,8 @@ def test_clips_count_alike_in_whatever_order_they_are_looked_at(tmp_path, monkey
         tifffile.imwrite(
             home / "frames.tif", film(np.random.default_rng(k), paths, sigma=1.2, profile=0.0), imagej=True
         )
-    steps, contacts, mean = list[tuple[int, int]](), list[int](), calibration.inverse_variance_mean
-    monkeypatch.setattr(calibration, "inverse_variance_mean", lambda each: contacts.append(len(each)) or mean(each))
+    steps, contacts, mean = list[tuple[int, int]](), list[int](), calibration.average_contact_distances
+    monkeypatch.setattr(calibration, "average_contact_distances", lambda each: contacts.append(len(each)) or mean(each))
     found = calibrate(tmp_path / "films", DIAMETER, 250.0, 5e-4, progress=lambda *at: steps.append(at))
     assert steps == [(k, 5) for k in range(1, 6)]
     assert contacts[-1] == 3  # one of each clip

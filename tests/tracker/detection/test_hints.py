@@ -22,7 +22,7 @@ from tracker.camera.film_options import (
     parse_colour,
     parse_frames,
     parse_region,
-    read_area,
+    read_search_area,
 )
 from tracker.camera.recordings import make_recording
 from tracker.cli import main
@@ -97,8 +97,8 @@ def test_a_polygon_holds_the_pixels_whose_centres_it_holds(corners):
     text = " ".join(f"{x},{y}" for x, y in corners)
     on_a_side = 1e-3 * expected.size  # whose centres may count either way
     for region, wanted in ((text, expected), (f"not {text}", ~expected), (f"0,0,999,999; not {text}", ~expected)):
-        assert (read_area(region, "", SIZE) != wanted).sum() < on_a_side
-    both = read_area(f"{text};100,100,199,159;not 0,0,120,120", "", SIZE)
+        assert (read_search_area(region, "", SIZE) != wanted).sum() < on_a_side
+    both = read_search_area(f"{text};100,100,199,159;not 0,0,120,120", "", SIZE)
     assert not both[:121, :121].any()
     assert both[125:, 125:].all()
 
@@ -106,7 +106,7 @@ def test_a_polygon_holds_the_pixels_whose_centres_it_holds(corners):
 def test_a_mask_of_another_size_is_refused(tmp_path):
     cv2.imwrite(f"{tmp_path}/mask.png", np.zeros((9, 8), np.uint8))
     with pytest.raises(InputError, match=r"mask.png: 8x9 pixels, expected 200x160 as the film"):
-        read_area("", f"{tmp_path}/mask.png", SIZE)
+        read_search_area("", f"{tmp_path}/mask.png", SIZE)
 
 
 @pytest.mark.parametrize("detector", ["maximum_likelihood", "centroid"])

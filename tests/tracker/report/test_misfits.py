@@ -15,7 +15,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.recording import Result, measure_tracks
 from tracker.report.collision_figures import CollisionView
-from tracker.report.misfits import MISFITS, draw_misfit, is_misfit
+from tracker.report.misfits import MISFITS, draw_misfit, is_misfit_clip
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def clip():
 def found(clip):
     """A collision whose fit is right; the tests call it a misfit, which would take seconds to fit."""
     result = measure_tracks(noisy(clip.tracks, np.random.default_rng(0), 0.02), Camera.of(clip), 0, "centre")
-    assert not is_misfit(result.rows)
+    assert not is_misfit_clip(result.rows)
     return replace(result, rows=(result.rows[0] | {"status": "misfit"},))
 
 
@@ -42,7 +42,7 @@ def found(clip):
 def test_the_note_says_where_residuals_are_largest(clip, found, bend, where):
     tracks, camera = found.found, found.camera
     bent = replace(tracks, y=tracks.y + bend(tracks.frame - clip.truth["t_c"] * camera.fps))
-    assert is_misfit(found.rows)
+    assert is_misfit_clip(found.rows)
     for frames in (None, wrap_frames(np.full((60, *camera.size[::-1]), 9, np.uint8))):
         drawn = draw_misfit(bent, camera, found.rows, 0, frames)
         assert f"largest {where}" in str(drawn.note)
@@ -76,4 +76,4 @@ def test_measure_writes_one_for_each_clip_and_one_note(clip, found, tmp_path, mo
     (["misfit"], True), (["misfit", "no frames"], True), (["ok", "misfit"], False), (["no_collision"], False),
 ])  # fmt: skip
 def test_a_clip_with_a_good_collision_is_none(states, known):
-    assert is_misfit([{"status": state} for state in states]) == known
+    assert is_misfit_clip([{"status": state} for state in states]) == known

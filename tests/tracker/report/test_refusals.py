@@ -10,7 +10,7 @@ from tracker.camera.film_in_memory import wrap_frames
 from tracker.camera.recordings import Recording
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import NO_SCALE, ONE_BALL
-from tracker.report.refusals import REFUSALS, draw_refusals, is_failure
+from tracker.report.refusals import REFUSALS, draw_refusals, is_refused_clip
 
 NO_TRACKS = Tracks(*(np.empty(0, int),) * 2, *(np.empty(0),) * 2, np.empty((0, 2, 2)), np.empty(0), np.empty(0, str),
                    np.empty(0), np.empty(0))  # fmt: skip
@@ -60,6 +60,6 @@ def test_a_film_in_which_nothing_differs_says_so():
 def test_a_clip_without_a_measured_collision_fails(states, failed):
     zero, one = np.zeros(1, int), np.ones(1)
     one = Tracks(zero, zero, one, one, np.eye(2)[None], one, np.array([""]), one, one)
-    assert is_failure(one, [{"status": state} for state in states]) is failed
-    assert is_failure(NO_TRACKS, [{"status": "ok"}])
+    assert is_refused_clip(one, [{"status": state} for state in states]) is failed
+    assert is_refused_clip(NO_TRACKS, [{"status": "ok"}])
     assert REFUSALS.endswith(".png")

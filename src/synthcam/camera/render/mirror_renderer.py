@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 
 from synthcam.camera.exposure import (
     Array,
+    BallSquares,
     Float32,
     Index,
     Picture,
-    PixelPatches,
     SubExposures,
     add_to_plate,
     blur_matrix,
@@ -33,7 +33,7 @@ from synthcam.camera.plate import (
     compute_gloss,
     compute_grain,
     compute_irradiance,
-    is_plain,
+    is_plain_plate,
     plate_points,
     shadow_casters,
 )
@@ -93,7 +93,7 @@ class MirrorRenderer(Renderer):
         self.faintest = MIN_RELATIVE_FLUX if len(self.radii) <= 2 else faintest
         self._mirror_reach, self._shade_reach = self._find_reaches()
         self._defines = ({"PAIR": 1} if len(self.radii) <= 2 else {}) | ({"METAL": 1} if surface.steel else {})
-        self._plain = is_plain(lamp, surface)
+        self._plain = is_plain_plate(lamp, surface)
         self._slope = 0.0 if self._plain else self._find_steepest()
         self._lit = np.zeros((1, 1), np.float32)
         self.plate = self._draw_plate() if self._plain else self._compute_plate()
@@ -238,7 +238,7 @@ class MirrorRenderer(Renderer):
         positions = np.asarray(centres(moments.times), float)
         pixels, slope = self.camera.project_with_slope(positions)
         extent = self._reach(positions, slope)
-        patches = PixelPatches(self.camera, self.psf.margin, moments, pixels, extent, len(spans))
+        patches = BallSquares(self.camera, self.psf.margin, moments, pixels, extent, len(spans))
         if coarse:
             few = np.asarray(centres(coarse.times), float)
             shown = [(moments, self._find_glints(moments, positions, patches, range(1, 99)))]
@@ -280,7 +280,7 @@ class MirrorRenderer(Renderer):
             yield add_to_plate(plate, corners, changes)
 
     def _find_glints(
-        self, moments: SubExposures, positions: Array, patches: PixelPatches, bounces: range
+        self, moments: SubExposures, positions: Array, patches: BallSquares, bounces: range
     ) -> GlintImages:
         wanted = patches.number[moments.frames] >= 0
         found = []
@@ -316,7 +316,7 @@ class MirrorRenderer(Renderer):
         return fine, place_sub_exposures(bounds, weights, frames, travel / 4, wave) if pair else None, (primary, rest)
 
     def _draw_balls(
-        self, positions: Array, moments: SubExposures, patches: PixelPatches, selected: Index, scene: DrawnParts
+        self, positions: Array, moments: SubExposures, patches: BallSquares, selected: Index, scene: DrawnParts
     ) -> Float32:
         """Draw blurred balls minus the plate behind them: (n, width, width) for n patches of one width.
 
@@ -407,7 +407,7 @@ class MirrorRenderer(Renderer):
         return rows
 
     def _add_glints(
-        self, images: Float32, glints: GlintImages, moments: SubExposures, patches: PixelPatches, selected: Index
+        self, images: Float32, glints: GlintImages, moments: SubExposures, patches: BallSquares, selected: Index
     ) -> None:
         ranks = patches.ranks(selected)[patches.number[moments.frames[glints.moment], glints.ball]]
         order = np.argsort(ranks, kind="stable")

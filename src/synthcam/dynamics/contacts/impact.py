@@ -37,7 +37,7 @@ class Impact:
 
 
 @dataclass(frozen=True)
-class ContactChange:
+class ImpactChange:
     """Changes of one impact: by chance, by a contact duration, and by the plate."""
 
     restitution: float = 0.0  # added to r
@@ -75,7 +75,7 @@ def collide_pair(
     striker: State,
     one: tuple[Real, Real, Real],
     two: tuple[Real, Real, Real],
-    change: ContactChange | None = None,
+    change: ImpactChange | None = None,
 ) -> tuple[State, State, tuple[Real, Real, Real], Real, Real]:
     """Let two balls that touch collide, by the laws `restitution`, `spin_transfer` and `loft` of the model.
 
@@ -84,7 +84,8 @@ def collide_pair(
     - The normal impulse is P = (1 + r) v_n m along n.
     - The tangential impulse is J = k C |u_t| 2 m against u_t. This is the velocity of the striker's surface
       relative to the target's at the contact, its vertical part included.
-    - The spin of both balls changes by dw = n x J / (k mass R). With two values of k, J has the k of `join_inertia`.
+    - The spin of both balls changes by dw = n x J / (k mass R). With two values of k,
+      J has the k of `combine_inertia_factors`.
     - The plate holds back the vertical impulse except for the share `loft`. The part held back spins the balls but
       lifts neither.
 
@@ -108,7 +109,7 @@ def collide_pair(
     ux = ax - v_n * nx + sy * nz - sz * ny
     uy = ay - v_n * ny + sz * nx - sx * nz
     uz = az - v_n * nz + sx * ny - sy * nx
-    inertia = join_inertia(k1, m1, k2, m2)
+    inertia = combine_inertia_factors(k1, m1, k2, m2)
     r, c = find_contact_coefficients(model, v_n, (ux, uy, uz), (ax, ay), (nx, ny), inertia)
     if change:
         r, c = change.change_restitution(r, v_n), c * change.friction
@@ -136,7 +137,7 @@ def hit_wall(
     wall: Wall,
     ball: State,
     body: tuple[float, float, float],
-    change: ContactChange | None = None,
+    change: ImpactChange | None = None,
 ) -> WallImpact:
     """Let a ball hit a wall that it touches.
 
@@ -175,7 +176,7 @@ def hit_wall(
     return WallImpact(after, (ax, ay), mass * normal, mass * (ax * ty - ay * tx))
 
 
-def join_inertia(k1: Real, m1: Real, k2: Real, m2: Real) -> Real:
+def combine_inertia_factors(k1: Real, m1: Real, k2: Real, m2: Real) -> Real:
     """Return the factor k of an impact, k1 k2 (m1 + m2)/(m1 k1 + m2 k2); exactly k where both bodies have one."""
     return k1 + (k2 - k1) * (k1 * m1 / (m1 * k1 + m2 * k2))
 

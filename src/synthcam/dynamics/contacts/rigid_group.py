@@ -124,7 +124,9 @@ class GroupImpact:
     impulse_t: float
 
 
-def find_slip(one: RigidGroup, two: RigidGroup | None, point: Vector, n: Vector) -> tuple[float, float, float, float]:
+def find_meeting_velocities(
+    one: RigidGroup, two: RigidGroup | None, point: Vector, n: Vector
+) -> tuple[float, float, float, float]:
     """Return the velocities with which rigid groups meet, v_n and u_t (along z x n), and their factors K_n and K_t.
 
     n: the unit vector towards the first group. two: None for a wall.
@@ -147,10 +149,10 @@ def collide_groups(
         one = one.push(point, (impulse * along[0], impulse * along[1]))
         two = two and two.push(point, (-impulse * along[0], -impulse * along[1]))
 
-    _, u_t, _, soft_t = find_slip(one, two, point, n)
+    _, u_t, _, soft_t = find_meeting_velocities(one, two, point, n)
     impulse_t = friction * u_t / soft_t
     push(impulse_t, t)
-    v_n, _, soft_n, _ = find_slip(one, two, point, n)
+    v_n, _, soft_n, _ = find_meeting_velocities(one, two, point, n)
     impulse_n = max((1 + restitution) * v_n / soft_n, 0.0)
     push(impulse_n, n)
     return GroupImpact(one, two, impulse_n, impulse_t)

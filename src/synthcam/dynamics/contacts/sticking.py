@@ -9,8 +9,14 @@ from itertools import combinations
 
 import numpy as np
 
-from synthcam.dynamics.contacts.impact import ContactChange, find_contact_coefficients, join_inertia
-from synthcam.dynamics.contacts.rigid_group import RigidGroup, Vector, collide_groups, find_slip, split_into_groups
+from synthcam.dynamics.contacts.impact import ImpactChange, combine_inertia_factors, find_contact_coefficients
+from synthcam.dynamics.contacts.rigid_group import (
+    RigidGroup,
+    Vector,
+    collide_groups,
+    find_meeting_velocities,
+    split_into_groups,
+)
 from synthcam.dynamics.contacts.walls import Wall
 from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.supports import Air, DryPlate, Support
@@ -71,7 +77,7 @@ class StickingBodies:
         return [Event(t, "apart", *pair) for pair in broken]
 
     def collide(
-        self, t: float, i: int, j: int, states: Mapping[int, State], change: ContactChange | None
+        self, t: float, i: int, j: int, states: Mapping[int, State], change: ImpactChange | None
     ) -> tuple[list[Event], dict[int, State]]:
         """Let the groups of two bodies hit. states: of all their bodies. Returns events and the states just after."""
         model, (one, two) = self.model, (self._group_of(k, states) for k in (i, j))
@@ -81,11 +87,11 @@ class StickingBodies:
         if change and change.turn:
             n = change.turn_normal(*n, *relative)
         point = _find_point(states[i], self.radius[i], n)
-        v_n, u_t, soft_n, soft_t = find_slip(one, two, point, n)
+        v_n, u_t, soft_n, soft_t = find_meeting_velocities(one, two, point, n)
         ratio = soft_t / soft_n
         alone = len(one.places) == len(two.places) == 1
         (_, m1, k1), (_, m2, k2) = self.bodies[i], self.bodies[j]
-        k = join_inertia(k1, m1, k2, m2) if alone else 1 / (max(ratio, LEAST_SOFTNESS_RATIO) - 1)
+        k = combine_inertia_factors(k1, m1, k2, m2) if alone else 1 / (max(ratio, LEAST_SOFTNESS_RATIO) - 1)
         slip = (-n[1] * u_t, n[0] * u_t, 0.0)
         r, c = find_contact_coefficients(model, v_n, slip, relative, n, k)
         if change:
@@ -114,14 +120,14 @@ class StickingBodies:
         return [Event(t, "contact", i, j, early, late, n, impulse_n, impulse_t, drawn), *together], after
 
     def bounce(
-        self, t: float, i: int, number: int, wall: Wall, states: Mapping[int, State], change: ContactChange | None
+        self, t: float, i: int, number: int, wall: Wall, states: Mapping[int, State], change: ImpactChange | None
     ) -> tuple[list[Event], dict[int, State]]:
         """Let the group of a body hit a wall, as `collide_groups` does for two groups."""
         one = self._group_of(i, states)
         _, *normal = wall.distance(*states[i][:2])
         n: Vector = (normal[0], normal[1])
         point = _find_point(states[i], self.radius[i], n)
-        v_n, u_t, soft_n, soft_t = find_slip(one, None, point, n)
+        v_n, u_t, soft_n, soft_t = find_meeting_velocities(one, None, point, n)
         r = change.change_restitution(wall.restitution, v_n) if change else wall.restitution
         most = wall.friction * (1 + r) * v_n / soft_n * soft_t
         done = collide_groups(

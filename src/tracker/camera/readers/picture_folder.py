@@ -21,7 +21,7 @@ TIFF = (".tif", ".tiff")
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 
 
-def is_hidden(path: Path) -> bool:
+def is_hidden_file(path: Path) -> bool:
     """Test whether a file in a folder of pictures is an operating system's own: ``._`` files, Thumbs.db."""
     ignored = ("thumbs.db", "desktop.ini", "ehthumbs.db")
     return path.name.startswith(".") or path.name.lower() in ignored
@@ -29,7 +29,7 @@ def is_hidden(path: Path) -> bool:
 
 def list_pictures(folder: Path) -> list[Path]:
     """Pictures of a folder, 2 before 10, without hidden files."""
-    found = [p for p in folder.iterdir() if p.suffix.lower() in PICTURES and p.is_file() and not is_hidden(p)]
+    found = [p for p in folder.iterdir() if p.suffix.lower() in PICTURES and p.is_file() and not is_hidden_file(p)]
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
 
 
@@ -86,7 +86,7 @@ def find_picture_numbers(names: list[str]) -> tuple[NDArray[np.int64] | None, st
 
 def _describe_hidden(folder: Path) -> tuple[str, ...]:
     """A note on files that an operating system has left."""
-    hidden = sorted(path.name for path in folder.iterdir() if path.is_file() and is_hidden(path))
+    hidden = sorted(path.name for path in folder.iterdir() if path.is_file() and is_hidden_file(path))
     shown = ", ".join(hidden[:3]) + (", ..." if len(hidden) > 3 else "")
     return (f"{len(hidden)} hidden file{'s are' if len(hidden) > 1 else ' is'} skipped: {shown}",) if hidden else ()
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
-from tracker.detection.candidates import ROUNDING_NOISE_COUNTS, spread_at_rest
+from tracker.detection.candidates import ROUNDING_NOISE_COUNTS, estimate_noise_at_rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ def find_takes(frames: Sequence[Any]) -> FilmTakes:
             change = np.abs(thin - previous)
             half.append(float(np.median(change)))
             mean.append(float(change.mean()))
-            spread.append(spread_at_rest(thin - previous))
+            spread.append(estimate_noise_at_rest(thin - previous))
         previous = thin
     changes, means = np.array(half), np.array(mean)
     repeated = _find_repeated(means)

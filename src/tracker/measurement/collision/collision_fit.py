@@ -32,7 +32,7 @@ from tracker.measurement.collision.least_squares import ROUGH_TOLERANCE, BallPai
 from tracker.measurement.collision.motion_test import find_p_of_motion
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
 from tracker.measurement.collision.slip_friction import find_slope_of_friction
-from tracker.measurement.collision.striker import alternative_strikers, is_believable
+from tracker.measurement.collision.striker import is_believable_striker, list_alternative_strikers
 from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
@@ -208,7 +208,7 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
     if _is_accepted(read) or _is_explained_by_friction(read):
         return read
     least = better_striker * _reduced_chi2(read)
-    for other in alternative_strikers(contact, guess if isinstance(read, str) else read.tied.parameters):
+    for other in list_alternative_strikers(contact, guess if isinstance(read, str) else read.tied.parameters):
         pair = other.contact.pair
         if pair.striker_slides and _is_too_bad(pair, *_bound_chi2_of_sliding(pair, other.starts[0]), least):
             continue
@@ -217,7 +217,7 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
         if _is_too_bad(pair, rough.chi2, rough.dof, least):
             continue
         found = _fit_with_noise(other.contact, [rough.parameters])
-        if isinstance(found, str) or found.impossible_values or not is_believable(found.tied, found.free):
+        if isinstance(found, str) or found.impossible_values or not is_believable_striker(found.tied, found.free):
             continue
         if found.is_convincing:
             return replace(found, flags=other.flags)

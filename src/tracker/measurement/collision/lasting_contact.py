@@ -552,7 +552,7 @@ def _chi2_of_lines(pair: BallPair, first: int, last: int) -> float:
     return square
 
 
-def count_frames_within(candidate: ContactCandidate, diameter: float) -> int:
+def count_contact_frames(candidate: ContactCandidate, diameter: float) -> int:
     """Count the frames of a contact that lasts: balls are nearer than a diameter (m) by more than their noise."""
     one, two = candidate.one, candidate.other
     frames, first, second = np.intersect1d(one.frame, two.frame, return_indices=True)

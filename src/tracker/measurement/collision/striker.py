@@ -34,7 +34,7 @@ class StrikerHypothesis:
     starts: list[Floats]
 
 
-def alternative_strikers(contact: Contact, rolling: Floats) -> Iterator[StrikerHypothesis]:
+def list_alternative_strikers(contact: Contact, rolling: Floats) -> Iterator[StrikerHypothesis]:
     """List motions of ball 2 before the hit other than rolling, the simplest first.
 
     rolling: the tied parameters (16,) by which both balls roll.
@@ -50,7 +50,7 @@ def alternative_strikers(contact: Contact, rolling: Floats) -> Iterator[StrikerH
             yield StrikerHypothesis((*flags, Flag.STRIKER_SLIDES), _with_spin(one, SPIN), starts)
 
 
-def is_believable(tied: CollisionFit, free: CollisionFit) -> bool:
+def is_believable_striker(tied: CollisionFit, free: CollisionFit) -> bool:
     """Decide whether a striker can spin or slide as a fit finds it."""
     max_spin = (
         1.25  # R w over v: a cue slips off a ball beyond half a radius from its centre, which gives 5/2 times 1/2

@@ -38,7 +38,7 @@ MAX_SPIN_TRANSFER = 5 / 14  # of balls whose surfaces stick to one another
 
 
 @dataclass(frozen=True)
-class FinderSettings:
+class ContactFinderSettings:
     """How contacts are found."""
 
     positions: int = 6  # of a path before a contact
@@ -118,7 +118,7 @@ class _Film:
     exposure: float  # s
     frame_s: float
     diameter: float
-    settings: FinderSettings
+    settings: ContactFinderSettings
     events: dict[int, list[float]]  # of each ball, frames at which something may have happened to it
     slides: dict[int, list[tuple[float, Floats]]] = field(default_factory=dict)  # of each ball: instants and slips
 
@@ -162,13 +162,13 @@ class _Film:
 
 
 def find_track_contacts(
-    balls: Sequence[BallTrack], diameter: float, settings: FinderSettings | None = None, *, glides: bool = False
+    balls: Sequence[BallTrack], diameter: float, settings: ContactFinderSettings | None = None, *, glides: bool = False
 ) -> list[TrackContact]:
     """Find all contacts in the tracks of any number of balls, in order of time; diameter: m.
 
     glides: whether the bodies glide, as on air, and do not slide after a contact until they roll.
     """
-    settings = settings or FinderSettings()
+    settings = settings or ContactFinderSettings()
     settings = replace(settings, friction=0.0) if glides else settings
     noise = measure_path_noise([(ball.frame, ball.position) for ball in balls])
     kinks = {ball.particle: _find_kinks(ball, noise) for ball in balls}
@@ -205,7 +205,7 @@ def find_track_contacts(
     return _widen_errors(_find_partners(found, balls, diameter, frame_s, settings), frame_s, settings)
 
 
-def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], film: _Film) -> FinderSettings:
+def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], film: _Film) -> ContactFinderSettings:
     """The settings with the friction of the plate, and the drag of surfaces, by which slides fit best.
 
     Without enough contacts these stay as they are.
@@ -227,7 +227,7 @@ def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], fi
         chi2, dof = own.fit(own.gather(parts, gaps)).chi2, 2 * (settings.positions + settings.positions_after)
         return float((dof / 2 * np.log1p(chi2 / dof)).sum())
 
-    start = FinderSettings()
+    start = ContactFinderSettings()
     friction = float(
         minimize_scalar(
             lambda mu: misfit(mu, start.spin_transfer) + (np.log(mu / start.friction) / np.log(2)) ** 2 / 2,
@@ -256,7 +256,7 @@ def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], fi
     )
 
 
-def _widen_errors(found: Sequence[TrackContact], frame_s: float, settings: FinderSettings) -> list[TrackContact]:
+def _widen_errors(found: Sequence[TrackContact], frame_s: float, settings: ContactFinderSettings) -> list[TrackContact]:
     """The contacts in order of time, with larger errors where a ball has another contact within a frame or so.
 
     Its path between both is not seen. The path after both then is off by the other kick times the time between.
@@ -281,7 +281,7 @@ def _find_partners(
     balls: Sequence[BallTrack],
     diameter: float,
     frame_s: float,
-    settings: FinderSettings,
+    settings: ContactFinderSettings,
 ) -> list[TrackContact]:
     """The contacts, where a kink of one ball is that with a ball whose own path is too short to show it.
 
@@ -318,7 +318,7 @@ def _find_partners(
 
 
 def _list_events(
-    ball: BallTrack, kinks: Floats, found: Sequence[TrackContact], settings: FinderSettings
+    ball: BallTrack, kinks: Floats, found: Sequence[TrackContact], settings: ContactFinderSettings
 ) -> list[float]:
     """Frames, with parts of them, of what happened to a ball: its contacts, and kinks that none explains."""
     own = [float(np.interp(c.time, ball.time, ball.frame)) for c in found if ball.particle in c.balls]
@@ -331,7 +331,7 @@ def _refine(
     other: BallTrack,
     frame: float,
     found: dict[tuple[int, int], TrackContact],
-    settings: FinderSettings,
+    settings: ContactFinderSettings,
 ) -> float:
     """The frame of a contact of two balls as it was found, if it was."""
     contact = found.get((one.particle, other.particle))
@@ -350,7 +350,7 @@ def _find_kinks(ball: BallTrack, noise: float) -> Floats:
     return np.interp(at, ball.time, ball.frame)
 
 
-def _find_approaches(one: BallTrack, other: BallTrack, diameter: float, settings: FinderSettings) -> list[float]:
+def _find_approaches(one: BallTrack, other: BallTrack, diameter: float, settings: ContactFinderSettings) -> list[float]:
     """Frames at which two balls are nearest to one another, and near enough to touch."""
     frames, mine, its = np.intersect1d(one.frame, other.frame, return_indices=True)
     if len(frames) < 2 * settings.least_positions:
@@ -411,7 +411,9 @@ def _weigh_gaps(fits: ContactFits) -> ContactFits:
     return best._replace(time_std=np.sqrt(variance))
 
 
-def _judge(pair: tuple[int, ...], found: ContactFits, diameter: float, settings: FinderSettings) -> TrackContact | None:
+def _judge(
+    pair: tuple[int, ...], found: ContactFits, diameter: float, settings: ContactFinderSettings
+) -> TrackContact | None:
     """The contact of balls by the best of its gaps, if the paths show one."""
     turn = found.after - found.before
     gain = float(found.smooth - found.chi2)
@@ -454,7 +456,7 @@ def _judge(pair: tuple[int, ...], found: ContactFits, diameter: float, settings:
 
 
 def _is_explained(
-    contact: TrackContact, found: Sequence[TrackContact], frame_s: float, settings: FinderSettings
+    contact: TrackContact, found: Sequence[TrackContact], frame_s: float, settings: ContactFinderSettings
 ) -> bool:
     """Decide whether other contacts of both balls at that instant explain the kinks."""
     near = [c for c in found if abs(c.time - contact.time) < settings.same_frames * frame_s]

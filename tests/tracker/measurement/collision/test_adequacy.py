@@ -168,7 +168,7 @@ def test_noise_that_lasts_is_counted(own, monkeypatch):
     assert kstest(table["adequate"], "uniform").pvalue > 1e-3
     assert dishonest(table) == []
     monkeypatch.setattr(collision_fit, "with_correlated_noise", lambda pair, free: None)
-    monkeypatch.setattr(collision_fit, "alternative_strikers", lambda meeting, rolling: iter(()))
+    monkeypatch.setattr(collision_fit, "list_alternative_strikers", lambda meeting, rolling: iter(()))
     equal_losses = FitSettings(rolling_loss_difference=0.0)  # noise that is not counted looks like losses that differ
     assert len(dishonest(claiming(own, NOISE, NOISE, rho=0.9, settings=equal_losses))) == len(SHOWN)
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from tracker.measurement.crowd.gap_fits import ConsecutivePositions, TouchDistance, fit_gaps, gather_gaps
-from tracker.measurement.crowd.track_contacts import FinderSettings
+from tracker.measurement.crowd.track_contacts import ContactFinderSettings
 
 FRAME_S, DIAMETER, NOISE = 4e-3, 2e-3, 1e-7
 FRAME = np.arange(12)
-GLIDES = FinderSettings(curvature=0.1)
+GLIDES = ContactFinderSettings(curvature=0.1)
 
 
 def make_rows(particle, place, before, after, instant, decel=0.0):
