@@ -386,8 +386,6 @@ def test_a_run_goes_on_when_its_page_is_closed_and_is_there_again(films, browser
         assert command.wait(20) == 0
     assert sorted(path.name for path in (tmp_path / "bench").iterdir()) == ["command_1.txt", "results_1"]
     assert not is_left_over(tmp_path)
-    with workbench(tmp_path / "bench/results_1", tmp_path / "again") as (_, address), opened(browser, address) as page:
-        says(page, "#results", "results_1")
 
 
 def test_ctrl_c_ends_a_run_whose_page_is_closed(films, browser, tmp_path):
