@@ -11,16 +11,21 @@ from synthcam.camera.pinhole import Array, PinholeCamera
 OUTLINE_POINTS = 400  # of the outline of a ball, evenly spread, that are looked for behind the others
 
 
-def compute_hidden_shares(camera: PinholeCamera, centres: Array, radii: Array) -> Array:
+def compute_hidden_shares(camera: PinholeCamera, centres: Array, radii: Array, *, max_paired: int = 8) -> Array:
     """Share (n, frames) of the outline of each ball, 0 to 1, that balls nearer to the camera cover, in and out of view.
 
     centres: (n, frames, 3), m; NaN in frames in which a ball is nowhere. radii: (n,), m; NaN for bodies that are not
     balls. Balls with NaN hide nothing and get NaN.
+
+    max_paired: up to so many balls, frames in which no two overlap are found first, by all pairs in all frames at once.
     """
     eye, points = camera.centre, _spread_points(OUTLINE_POINTS)
     there = np.isfinite(radii)[:, None] & np.isfinite(centres).all(axis=2)
     out = np.where(there, 0.0, np.nan)
-    for frame in np.flatnonzero(there.sum(axis=0) > 1).tolist():
+    crowded = there.sum(axis=0) > 1
+    if len(centres) <= max_paired:
+        crowded &= _overlap(eye, centres, radii)
+    for frame in np.flatnonzero(crowded).tolist():
         balls = np.flatnonzero(there[:, frame])
         sight = centres[balls, frame] - eye
         far = np.linalg.norm(sight, axis=1)
@@ -39,6 +44,16 @@ def compute_hidden_shares(camera: PinholeCamera, centres: Array, radii: Array) -
         for back, rows in covered.items():
             out[balls[back], frame] = rows.mean()
     return out
+
+
+def _overlap(eye: Array, centres: Array, radii: Array) -> NDArray[np.bool_]:
+    """Tell for each frame whether the outlines of two balls overlap, as the camera sees them."""
+    sight = centres - eye
+    far = np.linalg.norm(sight, axis=2)
+    angle, way = np.arcsin(np.minimum(radii[:, None] / far, 1.0)), sight / far[..., None]
+    one, other = np.triu_indices(len(centres), 1)
+    between = 2 * np.arcsin(np.minimum(np.linalg.norm(way[one] - way[other], axis=2) / 2, 1.0))
+    return np.asarray((between < angle[one] + angle[other]).any(axis=0))
 
 
 def _spread_points(count: int) -> Array:

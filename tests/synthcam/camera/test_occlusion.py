@@ -49,6 +49,15 @@ def test_what_two_balls_cover_counts_once():
     assert alone[0, 0] == pytest.approx(0.25, abs=0.01)
 
 
+def test_few_balls_are_compared_in_all_frames_at_once_with_the_same_result():
+    """Six balls that cross one another, one of them of unknown size; a crowd is searched frame by frame."""
+    centres = np.random.default_rng(4).uniform(0, 8e-3, (6, 40, 3))
+    radii = np.array([1e-3, 1e-3, 5e-4, 2e-3, np.nan, 1e-3])
+    one, other = (compute_hidden_shares(look(), centres, radii, max_paired=most) for most in (6, 5))
+    np.testing.assert_array_equal(one, other)
+    assert 10 < np.count_nonzero((other > 0).any(axis=0)) < 40
+
+
 def test_a_ball_hides_nothing_in_frames_in_which_it_is_nowhere():
     """The second ball hides a quarter of the first, and is nowhere in frame 1; the third, far off, is so in frame 2."""
     centres = np.array([[[0, 0, 1e-3]] * 3, [[0, 0, 4e-3]] * 3, [[9e-3, 0, 1e-3]] * 3])
