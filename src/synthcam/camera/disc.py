@@ -86,7 +86,7 @@ class Disc:
         return np.interp(distances / self.radius, grid, factors)
 
 
-def measure_covered_shares(miss: Array, radius: float) -> Array:
+def measure_shares_covered_by_body(miss: Array, radius: float) -> Array:
     """Measure the share of each sample that a body covers, from the distances (h, w) of its rays from the axis."""
     down, across = np.gradient(miss)
     share = np.clip((radius - miss) / np.maximum(np.hypot(down, across), 1e-12) + 0.5, 0, 1)

@@ -203,7 +203,7 @@ def build_surface(settings: dict[str, Any]) -> Surface:
     return Surface(**own | {"steel": law})
 
 
-def list_deviations(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def list_unusual_camera_settings(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """List by section of camera.json the settings that differ from a plain camera under a plain lamp."""
     camera = drawn["camera"]
     out: dict[str, dict[str, Any]] = {"psf": {}, "lens": {}, "shutter": {}}
@@ -239,6 +239,6 @@ def camera_json(nominal: PinholeCamera, drawn: dict[str, Any]) -> dict[str, Any]
         known["ball"] = {"finish": surface.get("ball", "steel")} | {k: surface[k] for k in ("colour",) if k in surface}
     if drawn.get("video"):
         known["video"] = dict(drawn["video"])
-    for section, values in list_deviations(drawn).items():
+    for section, values in list_unusual_camera_settings(drawn).items():
         known[section] = known.get(section, {}) | values
     return known

@@ -75,7 +75,7 @@ def run(
 
     Example: tracker benchmark run --trackers synthcam,my_detector --size small -o out/mine
     """
-    from tracker.benchmark.contest import SUITE, open_report, run_contest
+    from tracker.benchmark.contest import SUITE, open_contest_report, run_contest
     from tracker.benchmark.suite.definition import read_definition
     from tracker.benchmark.suite.folder import check_truth, open_suite
     from tracker.benchmark.suite.make import make_suite as make_suite
@@ -85,7 +85,7 @@ def run(
     with progress_bar("steps") as progress:
         if suite is None:
             chosen = read_definition(None, size)
-            with open_report(output):  # or its own suite would make the folder a foreign one
+            with open_contest_report(output):  # or its own suite would make the folder a foreign one
                 pass
             made = make_suite(output / SUITE, chosen, progress=progress, scheduler=scheduler)
         else:

@@ -41,7 +41,7 @@ def run_contest(
     if scheduler:  # the workers may stand elsewhere
         suite, report = replace(suite, path=suite.path.resolve(), truth=suite.truth.resolve()), report.resolve()
     chosen, notes = make_entrants(suite, names)
-    with open_report(report):
+    with open_contest_report(report):
         (report / RESULTS).mkdir(exist_ok=True)
         steps, found = 2 * len(chosen), []
         for number, one in enumerate(chosen, 1):
@@ -64,7 +64,7 @@ def write_contest_report(suite: Suite, report: Path, how: str) -> list[Mapping[s
     return whole
 
 
-def open_report(report: Path) -> AbstractContextManager[None]:
+def open_contest_report(report: Path) -> AbstractContextManager[None]:
     """Lock the folder of a contest's report. Raises InputError where it holds other files."""
     maker = "tracker benchmark"  # both `run` and `submit` add to it
     return open_resumable(report, maker, "a new folder for the report")

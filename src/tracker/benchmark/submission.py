@@ -16,7 +16,7 @@ from typing import Any
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from synthcam_shared.settings import did_you_mean
-from tracker.benchmark.contest import open_report, write_contest_report
+from tracker.benchmark.contest import open_contest_report, write_contest_report
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import TrackerResults, take_clip
 from tracker.benchmark.report.leaderboard import write_entry
@@ -43,7 +43,7 @@ def score_submission(
     """
     about = read_submission_form(folder)
     found, notes = read_tables(suite, folder, about.get("point", "centre"), progress)
-    with open_report(report):
+    with open_contest_report(report):
         write_entry(report, make_entry(suite, found, {**about, "made": "submitted"}))
         return write_contest_report(suite, report, how), notes
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from synthcam.camera.disc import measure_covered_shares
+from synthcam.camera.disc import measure_shares_covered_by_body
 from synthcam.camera.exposure import (
     Array,
     Box,
@@ -237,12 +237,14 @@ class RoomRenderer(Renderer):
         """Share of each sample that a body covers, and its distance, m."""
         if disc := self.shade.discs[ball]:
             miss, _ = disc.find_miss(self.camera.centre, way, centres[ball])
-            return measure_covered_shares(miss, disc.radius), disc.meet(self.camera.centre, way, centres[ball])[1]
+            return measure_shares_covered_by_body(miss, disc.radius), disc.meet(self.camera.centre, way, centres[ball])[
+                1
+            ]
         offset, radius = centres[ball] - self.camera.centre, self.radii[ball]
         along = way @ offset
         aside = offset - along[..., None] * way
         miss = np.sqrt(dot(aside, aside))
-        return measure_covered_shares(miss, radius), along - np.sqrt(np.maximum(radius**2 - miss**2, 0))
+        return measure_shares_covered_by_body(miss, radius), along - np.sqrt(np.maximum(radius**2 - miss**2, 0))
 
     def _meet_ball(self, centre: Array, radius: float, ways: Array) -> Array:
         """Points (n, 3) at which rays meet a ball; of a ray that misses it, the nearest point of its surface."""
