@@ -215,7 +215,7 @@ class Jackknife:
         less than there are clips. Cameron & Miller, J. Human Resources 50 (2015) 317, recommend it for errors by the
         scatter of few groups.
 
-        Where noise explains the scatter, such a test would lose half of all true claims of 6 sigma in five clips. The
+        If noise explains the scatter, such a test would lose half of all true claims of 6 sigma in five clips. The
         scatter therefore counts only if noise makes it so large with a probability below `least_p`. The ratio of T^2 by
         noise to that by scatter has a chi^2 distribution (Mardia, Kent & Bibby, Multivariate Analysis (1979), 3.4.7).
         """

@@ -59,7 +59,7 @@ def find_bias_of_restitution(table: dict[str, tuple[float, float]], friction: fl
     """Find by how much r is too low because both balls slide until their velocity is differenced; NaN without r.
 
     The velocity after the contact is that of two frames later. Until then friction takes 2 mu g from the speed at which
-    the balls part, or 2/7 (1 + r) of the closing speed if they roll before.
+    the balls part. If they roll before, it takes 2/7 (1 + r) of the closing speed.
     """
     (v0, _), (b, _), (r, _) = (table[name] for name in ("v0", "b", "r"))
     closing = v0 * np.sqrt(max(1 - b**2, 0.1))

@@ -17,8 +17,8 @@ from tracker.detection.glints import Glints
 from tracker.detection.likelihood.cramer_rao import compute_glint_shape
 from tracker.detection.spot_centroids import SpotCentroids
 
-# Standard errors by light that a plane does not describe, which lasts from frame to frame, from eight rendered crowds
-# with balls of 9 to 40 px and spots of width 0.7 to 1.6 px.
+# Standard errors by light that a plane does not describe; it lasts from frame to frame. They are from eight rendered
+# crowds with balls of 9 to 40 px and spots of width 0.7 to 1.6 px.
 CURVED_LIGHT_SHARE = 0.15  # of the shift that the fit removes
 UNEVEN_LIGHT_SHARE = 0.003  # of the width of a spot
 

@@ -5,9 +5,9 @@ shows them, because few of its degrees of freedom have to do with them. One line
 itself, and how it shifts every quantity.
 
 Departures imitate one another in part, so that their measured values are correlated. The quantities are averaged over
-all models in which each departure is zero or has a Cauchy prior (Bayesian model averaging; Hoeting et al., Stat. Sci.
-14 (1999) 382). Such a prior (Jeffreys, Theory of Probability, 3rd ed. (1961), 5.2) does not pull a large departure
-towards zero, unlike a normal one. All depends smoothly on the tracks.
+all models in which each departure is zero or has a Cauchy prior. This is Bayesian model averaging (Hoeting et al.,
+Stat. Sci. 14 (1999) 382). Such a prior (Jeffreys, Theory of Probability, 3rd ed. (1961), 5.2) does not pull a large
+departure towards zero, unlike a normal one. All depends smoothly on the tracks.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ class DeparturePosterior:
         """The shares (n, n) of the noise of the measured values that the mean follows.
 
         The covariance is also the derivative of the mean by normal measured values (Tweedie's formula; Efron, J. Am.
-        Stat. Assoc. 106 (2011) 1602). Where it exceeds that of the noise, it says that the models disagree, not that
-        the mean follows the noise more.
+        Stat. Assoc. 106 (2011) 1602). If it exceeds that of the noise, it says that the models disagree, not that the
+        mean follows the noise more.
         """
         root = np.linalg.cholesky(self.precision)
         shares, axes = np.linalg.eigh(root.T @ self.cov @ root)
@@ -140,11 +140,11 @@ def average_over_departures(
 ) -> DerivedValues:
     """Average the quantities of a fit over its laws and departures from these.
 
-    departures: by this fit. tied: the same by the tied fit, which replace those of a free fit. Where the free fit shows
-    a departure too, the value by the tied fit as measured then shifts the free quantities by the difference of both
-    effects. If both fits are linear, this lowers their variances (Hausman, Econometrica 46 (1978) 1251). Others may be
-    far from it, such as those of a slide whose end is hardly seen. The covariance is therefore that of all derivatives
-    by noise and by the camera's errors.
+    departures: by this fit. tied: the same by the tied fit, which replace those of a free fit. If the free fit shows a
+    departure too, the tied fit's measured value shifts the free quantities by the difference of both effects. If both
+    fits are linear, this lowers their variances (Hausman, Econometrica 46 (1978) 1251). Others may be far from it, such
+    as those of a slide whose end is hardly seen. The covariance is therefore that of all derivatives by noise and by
+    the camera's errors.
     """
     if not departures:
         return values

@@ -27,14 +27,14 @@ def find_slope_of_friction(
     *,
     expected: float = 0.08,
 ) -> LawDeparture | None:
-    """Find k of mu(u) = mu (1 + k u), s/m, u the speed of slip; of a free fit only what it does to the quantities.
+    """Find k of mu(u) = mu (1 + k u), s/m, u the speed of slip. For a free fit, find only its effect on the quantities.
 
     It typically changes the friction at the fastest slip by `friction_change` of the settings. None if the striker
     slides up to the contact.
 
     known, by_tied: as for `find_departure`. expected: probability before that friction changes. One collision hardly
-    distinguishes mu from k. If friction is constant, the errors of mu_k are 8 % larger in the median with 0.08, 1 %
-    with 0.01, and 69 % with 0.5.
+    distinguishes mu from k. With constant friction the median error of mu_k is 8 % larger with 0.08, 1 % with 0.01, and
+    69 % with 0.5.
     """
     if fit.pair.striker_slides:
         return None
