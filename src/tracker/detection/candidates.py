@@ -232,15 +232,18 @@ class CandidateSearch:
         return hits, self.sums.ravel()[hits].astype(np.float64)
 
     def _strongest(self, columns: Ints, rows: Ints, values: Array) -> Candidates:
-        left = values.copy()
-        chosen: list[int] = []
-        while len(chosen) < self.most:
-            best = int(left.argmax())  # the first of equals
-            if left[best] <= 0:
+        """The strongest pixels, each farther than `apart` from a stronger one; rows ascend."""
+        free, chosen = np.ones(len(values), dtype=np.bool_), list[int]()
+        first = np.searchsorted(rows, rows - self.apart)
+        last = np.searchsorted(rows, rows + self.apart, side="right")
+        for best in np.argsort(-values, kind="stable").tolist():  # the first of equals
+            if len(chosen) == self.most or values[best] <= 0:
                 break
-            chosen.append(best)
-            across, down = columns - columns[best], rows - rows[best]
-            left[across * across + down * down <= self.apart**2] = 0.0
+            if free[best]:
+                chosen.append(best)
+                band = slice(first[best], last[best])
+                across, down = columns[band] - columns[best], rows[band] - rows[best]
+                free[band] &= across * across + down * down > self.apart**2
         return Candidates(columns[chosen], rows[chosen], values[chosen] - self.base)
 
 
