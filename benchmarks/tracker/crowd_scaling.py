@@ -88,7 +88,7 @@ def measure(balls: int, frames: int, side: int) -> dict[str, Any]:
 
 def draw(figures: dict[str, list[dict[str, Any]]], path: Path) -> None:
     """Time of a frame, above, and memory, below, against each size."""
-    figure, axes = plt.subplots(2, 3, figsize=(10, 5.2), layout="constrained", sharex="col")
+    figure, axes = plt.subplots(2, 3, figsize=(10, 5.2), layout="constrained", sharex="col", sharey="row")
     for (over, rows), (above, below) in zip(figures.items(), axes.T, strict=True):
         size = [row[over] for row in rows]
         above.loglog(size, [row["detect_ms"] for row in rows], "o-", label="detection")
