@@ -83,9 +83,12 @@ class CollisionBatch:
         return len(self.breaks) // 2
 
     def at(self, times: Array) -> Array:
-        """Return states (2, n, m, 9) at times (m,), or (2n, m) of each ball, within [start, end]."""
+        """Return states (2, n, m, 9) at times (m,), or (2n, m) of each ball, within [start, end].
+
+        They are NaN after the end of a free striker.
+        """
         own = np.broadcast_to(times, (2 * self.size, times.shape[-1]))
-        out = np.empty((*own.shape, 9))
+        out = np.full((*own.shape, 9), np.nan)
         for segment in self.segments:
             write_states(segment, own, out, slice(9))
         return out.reshape(2, self.size, own.shape[-1], 9)

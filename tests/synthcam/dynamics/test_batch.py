@@ -244,3 +244,6 @@ def test_a_free_ball_is_followed_until_its_own_end(effects):
     assert np.allclose(short, whole, rtol=0, atol=1e-12)
     solved = solve_collisions(model, rows, 0.0, END, ends=ends)
     assert max(s.ends[s.who % 6 == 0].max(initial=0.0) for s in solved.segments) == pytest.approx(ends[0])
+    later = solved.at(np.linspace(0.3, END, 3))
+    assert np.isnan(later[:, 0]).all()  # after its end
+    assert not np.isnan(later[:, 5]).any()
