@@ -34,7 +34,7 @@ PATHS = collision(60)  # equal balls; 0.8 and 0.2 of the speed along the line of
 def films(tmp_path_factory):
     folder = tmp_path_factory.mktemp("films")
     tifffile.imwrite(folder / "<i>hit & run.tif", film(np.random.default_rng(0), PATHS), imagej=True)
-    tifffile.imwrite(folder / "long.tif", np.tile(film(np.random.default_rng(1), PATHS[:8]), (120, 1, 1)), imagej=True)
+    tifffile.imwrite(folder / "long.tif", np.tile(film(np.random.default_rng(1), PATHS[:8]), (600, 1, 1)), imagej=True)
     return folder
 
 
@@ -336,22 +336,30 @@ def test_hints_that_are_wrong_are_said(address, browser):
         assert page.locator("text=expected X,Y@FRAME").count() == 1
 
 
+def signal_runs(command, number):
+    """Send a signal to the runs of a workbench. SIGSTOP halts them, so that none ends too soon on a quick machine."""
+    children = subprocess.run(["pgrep", "-P", str(command.pid)], capture_output=True, text=True).stdout.split()
+    assert children
+    for child in children:
+        os.kill(int(child), number)
+
+
 def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, tmp_path):
     with workbench(films / "long.tif", tmp_path / "bench") as (command, address), opened(browser, address) as page:
         page.click("#run")
-        says(page, "#run-time", r"^\d+ s")
-        says(page, "#run-state", r"Tracking \d+ of 960 frames")
+        says(page, "#run-state", r"Tracking \d+ of 4800 frames")
         says(page, "#run-time", r"^\d+ s, about \d+ s left$")
+        signal_runs(command, signal.SIGSTOP)
+        says(page, "#run-time", r"^[4-9] s")  # the clock of the page goes on while nothing is heard of the run
+        signal_runs(command, signal.SIGCONT)
         page.click("#cancel")
         says(page, "#run-state", "Cancelled")
         page.click("#run")
-        says(page, "#run-state", r"Tracking \d+ of 960 frames")
-        children = subprocess.run(["pgrep", "-P", str(command.pid)], capture_output=True, text=True).stdout.split()
-        for child in children:
-            os.kill(int(child), signal.SIGKILL)
+        says(page, "#run-state", r"Tracking \d+ of 4800 frames")
+        signal_runs(command, signal.SIGKILL)
         says(page, "#run-state", "ended by signal 9")
         page.click("#run")
-        says(page, "#run-state", r"Tracking \d+ of 960 frames")
+        says(page, "#run-state", r"Tracking \d+ of 4800 frames")
         command.send_signal(signal.SIGINT)  # Ctrl-C ends the child, too
         assert command.wait(20) == 130
         assert "interrupted; finished runs stay" in command.stderr.read()
@@ -361,11 +369,12 @@ def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, t
 
 @contextmanager
 def left_during_a_run(films, browser, folder):
-    """A workbench whose only page has been closed while a run is under way: the command, and its children."""
+    """A workbench whose only page has been closed while a run is under way, which stands still."""
     with workbench(films / "long.tif", folder) as (command, address):
         with opened(browser, address) as page:
             page.click("#run")
-            says(page, "#run-state", r"Tracking \d+ of 960 frames")
+            says(page, "#run-state", r"Tracking \d+ of 4800 frames")
+            signal_runs(command, signal.SIGSTOP)
         yield command, address
 
 
@@ -378,9 +387,10 @@ def test_a_run_goes_on_when_its_page_is_closed_and_is_there_again(films, browser
         time.sleep(PAGE_GRACE_S + 1.0)
         assert command.poll() is None  # the command waits for its run
         with opened(browser, address) as page:  # the same address, by a browser that has no cookie
-            says(page, "#run-state", r"Tracking \d+ of 960 frames")
+            says(page, "#run-state", r"Tracking \d+ of 4800 frames")
             with workbench(films / "long.tif", tmp_path / "bench") as (_, other), opened(browser, other) as second:
                 says(second, "#command", "results_2")  # the number of the run under way is taken
+            signal_runs(command, signal.SIGCONT)
             page.wait_for_selector("#run-state:text('Done.')", timeout=60_000)
             says(page, "#results", "results_1")
         assert command.wait(20) == 0
@@ -391,6 +401,7 @@ def test_a_run_goes_on_when_its_page_is_closed_and_is_there_again(films, browser
 def test_ctrl_c_ends_a_run_whose_page_is_closed(films, browser, tmp_path):
     with left_during_a_run(films, browser, tmp_path / "bench") as (command, _):
         command.send_signal(signal.SIGINT)
+        signal_runs(command, signal.SIGCONT)
         assert command.wait(60) == 130
     assert not (tmp_path / "bench/results_1").exists()
     assert not is_left_over(tmp_path)

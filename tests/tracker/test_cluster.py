@@ -27,7 +27,7 @@ from pathlib import Path
 from distributed import LocalCluster, SchedulerPlugin
 from tracker.benchmark.contest import run_contest
 from tracker.benchmark.suite.definition import parse_definition
-from tracker.benchmark.suite.make import make
+from tracker.benchmark.suite.make import make_suite
 from tracker.scoring.score import score
 class Count(SchedulerPlugin):
     done = set()
@@ -39,7 +39,7 @@ if __name__ == "__main__":
     with LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster:
         cluster.scheduler.add_plugin(Count())
         address, text = cluster.scheduler_address, Path(sys.argv[1]).read_text()
-        made = make(Path("suite"), parse_definition(text, "full", "tiny.yaml"), scheduler=address)
+        made = make_suite(Path("suite"), parse_definition(text, "full", "tiny.yaml"), scheduler=address)
         run_contest(made, Path("report"), "centroid", scheduler=address)
         score(Path("report/results/centroid/axes"), Path("whole"), scheduler=address).write("score")
     print(len(Count.done))
