@@ -144,6 +144,7 @@ def write_sparse_clip(folder, count, shape):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
+@pytest.mark.gate
 def test_a_stack_ten_times_the_memory_allowed(tmp_path):
     """1 GB of frames, a sparse file with a glint in each, tracked and measured with 100 MB more than at start."""
     count = 1300

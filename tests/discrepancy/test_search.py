@@ -132,6 +132,7 @@ def test_two_hidden_effects_are_both_named_with_the_strengths_of_the_last_fit(mo
     assert all(found.model.value(k) == v for n in found.named for k, v in n.values.items())
 
 
+@pytest.mark.gate
 def test_the_library_is_asked_again_for_what_stands_in_place_of_a_free_law(monkeypatch):
     """Its own search stopped too early here; the free law is then no effect that it lacks."""
     only(monkeypatch)

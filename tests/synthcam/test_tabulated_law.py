@@ -97,6 +97,7 @@ def test_a_force_over_the_heading_acts_along_and_across():
     assert np.arctan2(vy, vx) == pytest.approx(5 / 7 * 0.35 * 0.5, rel=1e-7)
 
 
+@pytest.mark.gate
 def test_a_map_of_forces_is_a_well():
     side = np.linspace(-0.1, 0.1, 5)
     x, y = (s.ravel() for s in np.meshgrid(side, side))

@@ -213,7 +213,7 @@ def fit_from():
     ("rise", "slip"),
     [
         pytest.param(1.9, 0.0116, marks=pytest.mark.gate),
-        (5, 0.004),
+        pytest.param(5, 0.004, marks=pytest.mark.gate),
         (0.02, 0.004),
         pytest.param(0.3, 0.5, marks=pytest.mark.gate),
     ],

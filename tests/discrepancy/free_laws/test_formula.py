@@ -42,6 +42,7 @@ def test_a_sine_and_a_cosine_are_one_sine_of_a_field_too():
         assert _write_sum(words, np.array([3.0, 4.0]), relative=False) == f"5 sin(x / 3 + 0.93){way}"
 
 
+@pytest.mark.gate
 def test_a_step():
     """0.903 - 0.004 (1 + tanh((v - 0.2) / 0.03)) / 2"""
     formula = outsider("restitution_speed").law_summary.formula

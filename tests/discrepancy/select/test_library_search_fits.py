@@ -111,6 +111,7 @@ def test_score_tests_are_those_of_the_fit_that_is_kept(monkeypatch):
     assert after.ranking()[0].sigma < before.ranking()[0].sigma
 
 
+@pytest.mark.gate
 def test_starts_of_a_real_size_are_tried_at_the_likeliest_shapes_only(monkeypatch):
     """A dropped frame has 499 shapes. The true one is among the few that are tried."""
     clips = noisy(exact(Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": 40.0}), 4, 3), 3)

@@ -76,7 +76,7 @@ def test_a_claim_that_one_clip_contradicts_agrees_with_zero():
     assert judge_claim(claim, (test, test), 4.2, jackknife.distance_from_zero({E: 4 * slope})) is None
 
 
-@pytest.mark.parametrize("clips", [5, 20])
+@pytest.mark.parametrize("clips", [5, pytest.param(20, marks=pytest.mark.gate)])
 def test_the_distance_from_zero_counts_that_few_clips_tell_little_of_their_scatter(clips):
     """Slopes that scatter about zero: 5 % are beyond 1.96, as of a normal number; by the errors alone 12 % of 5."""
     rng, launch, far, alone = np.random.default_rng(8), np.ones((clips, 8, 1)), 0, 0

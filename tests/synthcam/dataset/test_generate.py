@@ -190,7 +190,10 @@ def many(tmp_path_factory):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-@pytest.mark.parametrize(("how", "workers"), [(signal.SIGKILL, 1), (signal.SIGINT, 1), (signal.SIGINT, 2)])
+@pytest.mark.parametrize(
+    ("how", "workers"),
+    [(signal.SIGKILL, 1), (signal.SIGINT, 1), pytest.param(signal.SIGINT, 2, marks=pytest.mark.gate)],
+)
 def test_killed_or_interrupted_it_goes_on(many, tmp_path, how, workers):
     (tmp_path / "s.yaml").write_text(TEXT)
     out, partial = tmp_path / "d", tmp_path / "d.partial"

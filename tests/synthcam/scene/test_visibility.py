@@ -58,7 +58,13 @@ def test_the_key_of_a_scene_of_many_bodies_is_named(sections, said):
     assert "launch.v0" not in found
 
 
-@pytest.mark.parametrize("path", sorted(SCENES.glob("*.yaml")), ids=lambda p: p.stem)
+SLOW = {"dense": pytest.mark.gate}
+
+
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, id=path.stem, marks=SLOW.get(path.stem, ())) for path in sorted(SCENES.glob("*.yaml"))],
+)
 def test_scenes_that_come_with_the_program_show_their_balls(path):
     assert describe_unseen_balls(synthcam.Scene.read(path), 3, 1) == ""
 

@@ -137,6 +137,7 @@ def test_an_encoded_film_is_calibrated_by_its_contacts(tmp_path, capfd, monkeypa
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.gate
 def test_clips_count_alike_in_whatever_order_they_are_looked_at(tmp_path, monkeypatch):
     """Two of three clips say how glints look; the third is looked at with what they say, by one process or two."""
     monkeypatch.setattr("tracker.calibration.calibrate.MAX_ROUGH_CLIPS", 2)

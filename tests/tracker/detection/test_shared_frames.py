@@ -64,6 +64,7 @@ def test_other_processes_find_the_same(tmp_path, monkeypatch, name, drawn):
             assert np.array_equal(getattr(other.glints, column.name), getattr(alone.glints, column.name))
 
 
+@pytest.mark.gate
 def test_real_processes_find_the_same_in_a_colour_of_a_video(tmp_path, monkeypatch):
     """The balls differ from the plate in colour alone: the other process has to read the same plane as this one."""
     rng, size, count = np.random.default_rng(5), (72, 104), 70

@@ -182,6 +182,7 @@ def test_every_lamp_image_stands_and_shines_as_traced(name):
         np.testing.assert_allclose(glints.spread[k], variance, rtol=0.03, atol=3e-6)
 
 
+@pytest.mark.gate
 def test_glints_among_many_neighbours_are_all_there_and_stand_as_traced():
     around = (0.1, 2.0), (1.2, 2.3), (2.4, 3.5), (3.3, 2.05), (4.4, 2.6), (5.4, 5.0), (5.5, 14.0)
     rings = [[0.01 + far * R * np.cos(turn), far * R * np.sin(turn), R] for turn, far in around]

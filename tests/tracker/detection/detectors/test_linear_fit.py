@@ -29,9 +29,9 @@ def read_errors(clip, detector):
 @pytest.mark.parametrize(
     ("scene", "frames", "changes"),
     [
-        pytest.param("crowd", 20, {}, id="balls of 15 px"),
+        pytest.param("crowd", 20, {}, id="balls of 15 px", marks=pytest.mark.gate),
         pytest.param("cooling", 5, {}, id="balls of 24 px"),
-        pytest.param("crowd", 20, {"camera": {"scale": 2.6e-4}}, id="balls of 9 px"),
+        pytest.param("crowd", 20, {"camera": {"scale": 2.6e-4}}, id="balls of 9 px", marks=pytest.mark.gate),
         pytest.param("crowd", 20, {"timing": {"exposure": 3e-3}}, id="glints that move by three widths"),
     ],
 )

@@ -165,6 +165,7 @@ def test_the_contacts_with_the_longest_slides_give_the_friction_of_the_film():
     assert np.median(np.abs(z)) < 2
 
 
+@pytest.mark.gate
 def test_a_ball_that_still_slides_from_a_contact_before_makes_no_recoil_too_certain():
     """Four positions of a slide look like a roll, whose velocity is known five times as well."""
     diameter, z = 0.00238, []

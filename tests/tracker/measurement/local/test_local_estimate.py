@@ -118,6 +118,7 @@ def test_a_slide_that_may_end_after_the_last_position_leaves_v0_uncertain():
     assert 0.008 < row["v0_local_std"] < 0.03
 
 
+@pytest.mark.gate
 def test_v0_of_strikers_that_slide_up_to_the_hit_is_not_too_high():
     """Had they begun to roll in the last 20 ms, they would be faster; few do. Those that rolled for 20 ms come last."""
     z = {}
