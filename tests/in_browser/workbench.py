@@ -325,6 +325,25 @@ def test_everything_by_keyboard(address, browser):
         assert page.get_attribute("#stage", "data-frame") == "0"
 
 
+@pytest.mark.parametrize(
+    ("name", "size", "said"),
+    [
+        ("notes.txt", 100, "expected a TIFF stack"),
+        ("cut.tif", 3000, "truncated or damaged"),
+        ("gone.tif", 0, "no such"),
+    ],
+)
+def test_a_wrong_film_ends_in_one_line_before_a_page_opens(films, tmp_path, name, size, said):
+    if size:
+        with (films / "long.tif").open("rb") as film_file:
+            (tmp_path / name).write_bytes(film_file.read(size))
+    words = [sys.executable, "-m", "tracker", "open", name, "--no-browser", "-o", "bench"]
+    found = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path)
+    assert (found.returncode, found.stdout) == (2, "")
+    assert re.fullmatch(rf"tracker: {name}: .*{said}.*\n", found.stderr)
+    assert not (tmp_path / "bench").exists()
+
+
 def test_hints_that_are_wrong_are_said(address, browser):
     with opened(browser, address) as page:
         page.fill("#new-ball", "<b>here</b>")
