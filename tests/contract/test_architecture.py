@@ -114,6 +114,8 @@ LAYERS = {
     ],
     "tracker.measurement.local": [
         "stretches recommendation",
+        "local_problem",
+        "descents",
         "local_fit",
         "local_estimate",
         "local_columns",

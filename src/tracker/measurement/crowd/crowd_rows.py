@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from tracker.camera.camera_json import BODIES
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import Contact, ContactCandidate, prepare_contact
 from tracker.measurement.crowd.track_contacts import TrackContact
-from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate, estimate_locally
+from tracker.measurement.local.descents import FitInSteps, run_together
+from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate, estimate_in_steps
 from tracker.measurement.local.local_fit import MAY_ROLL
 from tracker.measurement.local.stretches import SLIDE_AND_ROLL
 from tracker.measurement.positions import BallTrack
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 MU_K = LOCAL_NAMES.index("mu_k")
 SHORT_SLIDE = "other contacts of the film show the friction better"
 BOTH_SLIDE = "both balls still slide from an earlier contact"
+_Estimates: TypeAlias = dict[int, tuple[Contact | None, LocalEstimate | str]]
 
 
 def estimate_contacts(
@@ -37,6 +39,7 @@ def estimate_contacts(
     most_frictions: int = 30,
     max_friction_error: float = 0.2,
     film_friction_factor: float = 0.1,
+    at_once: int = 100,
 ) -> list[tuple[Contact | None, LocalEstimate | str]]:
     """Estimate each contact of two balls: its two balls, and the local estimate or the reason why there is none.
 
@@ -46,17 +49,27 @@ def estimate_contacts(
     most_frictions: contacts that are asked for it, those with the longest slides.
     max_friction_error: relative, of a contact that counts.
     film_friction_factor: error of the logarithm of the friction that a film shows.
+    at_once: contacts that are estimated together, which is quicker.
     """
     tracks = {ball.particle: ball for ball in balls}
     known = camera
     if not camera.support and camera.body == BODIES["ball"]:
         known = replace(camera, support="cloth")  # contacts of slow balls hide that they slide
     pairs = [contact for contact in found if len(contact.balls) == 2]
-    longest = np.argsort([-_seen_slide(c, found, settings) for c in pairs], kind="stable")[:most_frictions]
-    first = dict[int, tuple[Contact | None, LocalEstimate | str]]()
-    for k in map(int, longest):
-        report_step("contacts", len(first), len(longest) + len(pairs))
-        first[k] = _estimate(pairs[k], found, tracks, known, settings)
+    seen_slides = [-_seen_slide(c, found, settings) for c in pairs]
+    longest = np.argsort(seen_slides, kind="stable")[:most_frictions].tolist()
+
+    def estimate_all(numbers: Sequence[int], settings: FitSettings, done: int) -> _Estimates:
+        """The estimates of these pairs by number; done: contacts that were estimated before."""
+        out = _Estimates()
+        for start in range(0, len(numbers), at_once):
+            report_step("contacts", done + start, len(longest) + len(pairs))
+            part = numbers[start : start + at_once]
+            fits = [_estimate_in_steps(pairs[k], found, tracks, known, settings) for k in part]
+            out |= zip(part, run_together(fits), strict=True)
+        return out
+
+    first = estimate_all(longest, settings, 0)
     seen = [(each.value[MU_K], each.std[MU_K]) for _, each in first.values() if isinstance(each, LocalEstimate)]
     friction = [mu for mu, std in seen if mu > 0 and 0 < std < max_friction_error * mu]
     used, error, done = settings, settings.local_friction_factor, first
@@ -65,10 +78,10 @@ def estimate_contacts(
         used, done = settings.model_copy(update=common), {}
         median_error = np.sqrt(np.pi / 2)  # of a median of normal values, over that of their mean
         error = min(float(np.std(np.log(friction))) / np.sqrt(len(friction)) * median_error, film_friction_factor)
+    done = done | estimate_all([k for k in range(len(pairs)) if k not in done], used, len(longest))
     out = list[tuple[Contact | None, LocalEstimate | str]]()
-    for k, pair in enumerate(pairs):
-        report_step("contacts", len(longest) + k, len(longest) + len(pairs))
-        contact, each = done[k] if k in done else _estimate(pair, found, tracks, known, used)
+    for k in range(len(pairs)):
+        contact, each = done[k]
         own = first[k][1] if k in first else each if used is settings else SHORT_SLIDE
         out.append((contact, _share_friction(each, own, used, error)))
     return out
@@ -107,7 +120,7 @@ def _share_friction(
     return replace(estimate, value=value, cov=cov, response=response, unseen=unseen)
 
 
-def _estimate(
+def _estimate_in_steps(
     contact: TrackContact,
     found: Sequence[TrackContact],
     tracks: Mapping[int, BallTrack],
@@ -117,7 +130,7 @@ def _estimate(
     window_in_slides: float = 10.0,
     min_window_s: float = 0.05,
     slide_factor: float = 0.3,
-) -> tuple[Contact | None, LocalEstimate | str]:
+) -> FitInSteps[tuple[Contact | None, LocalEstimate | str]]:
     """The two balls of a contact, and its local estimate or the reason why there is none.
 
     window_in_slides: durations of the slide after a contact, up to which its stretches reach.
@@ -142,7 +155,7 @@ def _estimate(
         factor = float(np.hypot(own.local_friction_factor, slide_factor))
         slide = (_slide_duration(contact, settings), factor) if contact.kick > 0 else None
         striker = (SLIDE_AND_ROLL,) if any(sliding) else MAY_ROLL  # a short slide looks like a roll
-        return prepared, estimate_locally(prepared, camera, (1.0, 1.0), slide, striker)
+        return prepared, (yield from estimate_in_steps(prepared, camera, (1.0, 1.0), slide, striker))
     except (ArithmeticError, ValueError, IndexError) as error:  # one contact never costs the others
         return None, f"the fit failed: {(str(error).splitlines() or [type(error).__name__])[0][:80]}"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,10 +15,9 @@ from tracker.measurement.collision.adequacy import compute_p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, GRAVITY
 from tracker.measurement.collision.contacts import Contact, guess_launch
 from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_each_ball, dot, make_ball_average
+from tracker.measurement.local.descents import FitInSteps, run_alone
 from tracker.measurement.local.local_fit import (
     MAY_ROLL,
-    LocalPriors,
-    LocalSolution,
     choose_window,
     fit_motions,
     guess_contact,
@@ -25,6 +25,7 @@ from tracker.measurement.local.local_fit import (
     shows_end,
     weigh_by_residuals,
 )
+from tracker.measurement.local.local_problem import LocalPriors, LocalSolution
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, cut_stretch
 
 if TYPE_CHECKING:
@@ -80,6 +81,17 @@ def estimate_locally(
     masses: of ball 1 and ball 2, in any unit. slide: a prior of the duration of a slide, s, and the error of its
     logarithm, if something shows it. striker: motions that ball 2 may have on a plate before the contact.
     """
+    return run_alone(estimate_in_steps(contact, camera, masses, slide, striker))
+
+
+def estimate_in_steps(
+    contact: Contact,
+    camera: Camera,
+    masses: tuple[float, float],
+    slide: tuple[float, float] | None = None,
+    striker: Sequence[MotionKind] = MAY_ROLL,
+) -> FitInSteps[LocalEstimate | str]:
+    """Estimate one collision as `estimate_locally` does, in steps that `run_together` takes with those of others."""
     rests = not contact.pair.target_moves
     glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
     lasts = contact.end > contact.start
@@ -104,13 +116,16 @@ def estimate_locally(
             for s in whole
         ]
         priors = _allow_for_duration(known, stretches, contact, camera)
-        found = fit_motions(stretches, instant, rests, glides, priors, striker)
+        found = yield from fit_motions(stretches, instant, rests, glides, priors, striker)
         late, instant = float(found[0].x[0]) - instant, float(found[0].x[0])
         again = _cut_stretches(contact, camera, instant)
         same = all(len(a) == len(b) for a, b in zip(whole, again, strict=True))
         if turn == 2 or lasts or same or abs(late) > 3 / camera.fps:
             break
-    return _read_values(found, contact, camera, masses)
+    noise_dof = contact.pair.striker.noise_dof
+    weighed = yield from weigh_by_residuals(found, bool(np.isinf(noise_dof)))
+    mixture = yield from mix_solutions(weighed)
+    return _read_values(found[0], mixture, contact, camera, masses)
 
 
 def _stay_together(contact: Contact, instant: float, *, least_positions: int = 10, least_r: float = 0.05) -> bool:
@@ -183,17 +198,19 @@ def _cut_stretches(contact: Contact, camera: Camera, instant: float) -> list[Str
 
 
 def _read_values(
-    found: Sequence[LocalSolution], contact: Contact, camera: Camera, masses: tuple[float, float]
+    claimed: LocalSolution,
+    solutions: Sequence[tuple[float, LocalSolution]],
+    contact: Contact,
+    camera: Camera,
+    masses: tuple[float, float],
 ) -> LocalEstimate:
-    """The estimate by solutions with the claimed errors, the best first, widened to the size of the residuals.
+    """The estimate as a mean over the motions that the positions allow.
 
-    It is a mean over the motions that the positions allow.
+    claimed: the best solution with the claimed errors. solutions: with their weights, by errors as large as residuals.
     """
-    noise_dof, claimed = contact.pair.striker.noise_dof, found[0]
-    solutions = mix_solutions(weigh_by_residuals(found, bool(np.isinf(noise_dof))))
-    mixture = [(weight, *_read_solution(each, camera, masses)) for weight, each in solutions]
-    weights = np.array([weight for weight, *_ in mixture])
-    each, covs, responses, effects = (np.stack([part[k] for part in mixture]) for k in range(1, 5))
+    noise_dof, weights = contact.pair.striker.noise_dof, np.array([weight for weight, _ in solutions])
+    read = _read_solutions([each for _, each in solutions], camera, masses)
+    each, covs, responses, effects = (np.stack(part) for part in zip(*read, strict=True))
     value = weights @ each
     off = np.nan_to_num(each - value) * np.sqrt(weights)[:, None]
     v0, b = (value[LOCAL_NAMES.index(name)] for name in ("v0", "b"))
@@ -215,20 +232,39 @@ def _read_values(
     )
 
 
-def _read_solution(
-    solution: LocalSolution, camera: Camera, masses: tuple[float, float], *, mass_step: float = 1e-4
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Values of one solution, their covariance, their response, and the effects (k, n) of errors of the camera file.
+def _read_solutions(
+    solutions: Sequence[LocalSolution], camera: Camera, masses: tuple[float, float], *, mass_step: float = 1e-4
+) -> list[tuple[Floats, Floats, Floats, Floats]]:
+    """Values of solutions of one hit, their covariances, responses, and effects (k, n) of errors of the camera file.
 
     mass_step: of the logarithm of the mass ratio, for derivatives.
     """
+    out = dict[int, tuple[Floats, Floats, Floats, Floats]]()
+    numbers = sorted(range(len(solutions)), key=lambda i: solutions[i].problem.motions)
+    for _, same in groupby(numbers, key=lambda i: solutions[i].problem.motions):
+        own = list(same)  # quantities are computed at once: most of the time is that of numpy's calls
+        steps = [0.01 * np.sqrt(np.maximum(np.diag(solutions[i].cov), 0.0)) + 1e-9 for i in own]
+        x = np.array([solutions[i].x for i in own])
+        away = np.stack([[x[j] + np.diag(step), x[j] - np.diag(step)] for j, step in enumerate(steps)])
+        middle = _quantities(solutions[own[0]], x, masses)
+        heavier = _quantities(solutions[own[0]], x, (masses[0] * np.exp(mass_step), masses[1]))
+        beside = _quantities(solutions[own[0]], away.reshape(-1, x.shape[1]), masses)
+        for j, (high, low) in enumerate(beside.reshape(*away.shape[:3], -1)):
+            with np.errstate(invalid="ignore"):
+                slope = ((high - low) / (2 * steps[j][:, None])).T
+            by_mass = (heavier[j] - middle[j]) / mass_step
+            out[own[j]] = _propagate_errors(solutions[own[j]], camera, middle[j], slope, by_mass)
+    return [out[i] for i in range(len(solutions))]
+
+
+def _propagate_errors(
+    solution: LocalSolution, camera: Camera, value: Floats, slope: Floats, by_mass: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Values of one solution with what follows from its errors, as of `_read_solutions`.
+
+    slope: derivatives of the quantities by the parameters. by_mass: by the logarithm of the mass ratio.
+    """
     problem, x = solution.problem, solution.x
-    std = np.sqrt(np.maximum(np.diag(solution.cov), 0.0))
-    step = 0.01 * std + 1e-9
-    high, low = (_quantities(solution, x + sign * np.diag(step), masses) for sign in (1, -1))
-    with np.errstate(invalid="ignore"):
-        slope = ((high - low) / (2 * step[:, None])).T
-    value = _quantities(solution, x[None], masses)[0]
     normal = x[1:3] - x[3:5]
     normal = normal / np.hypot(*normal)
     axes = (normal, np.array([-normal[1], normal[0]]))
@@ -238,8 +274,6 @@ def _read_solution(
         for axis, unit in enumerate(axes):
             if problem.motions[k].moves:
                 shifts[problem.start[k] + 2 : problem.start[k] + 4, 2 * i + axis] = unit
-    heavier = _quantities(solution, x[None], (masses[0] * np.exp(mass_step), masses[1]))[0]
-    by_mass = (heavier - value) / mass_step
     unknown = ~(np.isfinite(value) & np.isfinite(slope).all(axis=1))
     slope[unknown] = 0.0
     merge = make_ball_average(slope @ solution.cov @ slope.T)

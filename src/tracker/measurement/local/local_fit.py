@@ -1,25 +1,22 @@
 """The local fit: stretches of free motion that meet at a contact, without any law of the impact.
 
-The parameters are the instant of the contact, the place of each body there, and for each stretch a start of its own.
-Weak knowledge keeps short stretches regular, as rows of the least squares:
-
-- the bodies touch at about one diameter, and each is in about one place before and after the contact;
-- the plate's friction, and its rolling loss, are about the same in all stretches.
+It starts from fits of single stretches, chooses the motions that describe the positions, and averages over durations of
+slides that the positions do not show. Fits are `FitInSteps`: they yield the descents that they need.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from tracker.measurement.collision.collision_model import GRAVITY
-from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, evaluate_path
+from tracker.measurement.local.descents import Descent, FitInSteps
+from tracker.measurement.local.local_problem import LocalPriors, LocalProblem, LocalSolution
+from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch
 
 Floats = NDArray[np.float64]
 MAY_ROLL = ROLL, SLIDE_AND_ROLL, SLIDE  # motions of a striking ball before the contact
@@ -27,336 +24,6 @@ MAX_RESIDUAL = 2.0  # rms residual of a window, in errors
 MAX_SOLUTIONS = 16  # that are averaged
 MAX_COST = 16.0  # beyond that of the best duration of a slide
 ROUGH_GAIN = 0.01  # of the cost, with which a descent ends whose solution is solved again
-
-
-@dataclass(frozen=True)
-class LocalPriors:
-    """Prior values of a fit, with their errors."""
-
-    diameter: float  # m
-    distance_share: float = 0.016  # error of the distance at which the bodies touch, diameters
-    shift_share: float = 0.005  # by which a body may be elsewhere after the contact, diameters
-    friction: float = 0.2  # the plate's
-    friction_factor: float = 0.7  # error of its logarithm
-    friction_scatter: float = 0.04  # from stretch to stretch, relative
-    turn: float = 0.5  # rad, of friction from the direction in which a ball that did not slide is slowed or sped up
-    slide_s: float = 0.1  # duration of a slide
-    slide_factor: float = 3.0  # error of its logarithm
-    # Probability that a striker that slid in the window slides up to the contact. Chosen between, on 200 simulated hits
-    # of billiard balls: 1/2 makes v0 of balls that rolled for less than 0.1 s wrong by 1.9 errors, 1/4 by 1.3.
-    slides_up_to_contact: float = 0.25
-    roll_s: float = 0.1  # how long a ball has rolled before the contact, after a slide
-    roll_factor: float = 3.0  # error of its logarithm
-    loss: float = 0.05  # of rolling, m/s^2; its error is as large
-    loss_scatter: float = 0.03  # from stretch to stretch, m/s^2: balls of steel lose more the faster they roll
-    push: float = 1.0  # acceleration of bodies that glide, m/s^2
-
-
-@dataclass(frozen=True)
-class LocalProblem:
-    """The stretches of one hit with their motions; `glide` if the bodies slide on air, where pushes are unlike.
-
-    slides: of stretches whose slide has an assumed duration, that duration, s, and the error of its logarithm.
-    """
-
-    stretches: tuple[Stretch, ...]
-    motions: tuple[MotionKind, ...]
-    priors: LocalPriors
-    glide: bool
-    slides: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    start: tuple[int, ...] = field(init=False)  # of each stretch in the vector of parameters
-    spans: tuple[float, ...] = field(init=False)  # duration of each stretch, s
-
-    COMMON = 7  # t_c; x, y of ball 1; x, y of ball 2; log of the friction; loss
-
-    def __post_init__(self) -> None:
-        ends = np.cumsum([self.COMMON, *(motion.size for motion in self.motions)])
-        object.__setattr__(self, "start", tuple(int(end) for end in ends))
-        object.__setattr__(self, "spans", tuple(float(np.ptp(s.time)) for s in self.stretches))
-
-    @property
-    def size(self) -> int:
-        """Number of parameters."""
-        return self.start[-1]
-
-    def values(self, x: Floats, k: int) -> Floats:
-        """The parameters (..., size) of a stretch, with its place at the contact, of all parameters (..., n)."""
-        own = x[..., self.start[k] : self.start[k + 1]].copy()
-        own[..., :2] += x[..., self.place(k)]
-        if self.rubs(k):
-            size, angle = np.exp(x[..., 5] + own[..., 4]) * GRAVITY, own[..., 5].copy()
-            own[..., 4], own[..., 5] = size * np.cos(angle), size * np.sin(angle)
-        if self.slides_first(k):
-            own[..., 2:4] -= own[..., 4:6] * np.minimum(np.exp(own[..., 6:7]), self.spans[k])
-        return own
-
-    def rubs(self, k: int) -> bool:
-        """Decide whether a stretch is pushed by friction: its size over the common one and its direction are fitted."""
-        return self.motions[k].pushed and not self.glide
-
-    def slides_first(self, k: int) -> bool:
-        """Decide whether a stretch begins with a slide; the velocity at its end, which is known better, is fitted.
-
-        The end is that of the slide or that of the stretch, whichever is earlier.
-        """
-        return self.stretches[k].after and self.motions[k].ends
-
-    def usual_duration(self, k: int) -> tuple[float, float]:
-        """The prior duration of the slide after the contact, or of the roll before it, s; error of its logarithm."""
-        p = self.priors
-        return (p.slide_s, p.slide_factor) if self.stretches[k].after else (p.roll_s, p.roll_factor)
-
-    def place(self, k: int) -> slice:
-        """Find the position of a stretch's body in the vector of parameters."""
-        return slice(1, 3) if self.stretches[k].ball == 1 else slice(3, 5)
-
-    @cached_property
-    def counted(self) -> NDArray[np.bool_]:
-        """Tell which coordinates (2n,) show the size of the errors: not those beside the contact."""
-        return np.concatenate([np.repeat(~s.near, 2) for s in self.stretches])
-
-    def residuals(self, x: Floats, sizes: Sequence[float], known: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Whitened residuals (m, rows) and derivatives (m, rows, n) of parameters (m, n).
-
-        Rows of positions come first, then those of what is known. sizes: of the errors of each stretch, over the
-        claimed ones. known: `known` of each of m problems.
-        """
-        values, by = known
-        whole, slopes, end = list[Floats](), np.zeros((len(x), len(self.counted) + values.shape[1], self.size)), 0
-        for k, (stretch, motion, size) in enumerate(zip(self.stretches, self.motions, sizes, strict=True)):
-            own = self.values(x, k)
-            path, slope = evaluate_path(motion, own, stretch.time - x[:, :1], stretch.after)
-            if self.slides_first(k):
-                lasts = np.exp(own[:, 6])
-                tau, by_v = np.minimum(lasts, self.spans[k])[:, None, None, None], slope[:, 2:4].copy()
-                slope[:, 4:6] -= tau * by_v
-                ends = tau[:, 0] * (lasts < self.spans[k])[:, None, None]
-                slope[:, 6] -= ends * (own[:, 4, None, None] * by_v[:, 0] + own[:, 5, None, None] * by_v[:, 1])
-            if self.rubs(k):
-                ax, ay = own[:, 4, None, None], own[:, 5, None, None]
-                along = ax * slope[:, 4] + ay * slope[:, 5]
-                slope[:, 5] = ax * slope[:, 5] - ay * slope[:, 4]
-                slope[:, 4] = along
-            white = stretch.whiten(np.concatenate([(path - stretch.position)[:, None], slope], axis=1)) / size
-            rows, end = slice(end, end + white.shape[2]), end + white.shape[2]
-            whole.append(white[:, 0])
-            white = np.swapaxes(white, 1, 2)
-            slopes[:, rows, self.start[k] : self.start[k + 1]] = white[:, :, 1:-1]
-            slopes[:, rows, self.place(k)] = white[:, :, 1:3]
-            slopes[:, rows, 0] = white[:, :, -1]
-            if self.rubs(k):
-                slopes[:, rows, 5] = white[:, :, 5]
-        slopes[:, end:] = by
-        whole.append((by @ x[..., None])[..., 0] - values)
-        self._add_distance(x, whole[-1], slopes[:, end:])
-        for row, k in enumerate((k for k in range(len(self.stretches)) if self.slides_first(k)), 1):
-            self._add_friction_direction(x, k, whole[-1], slopes[:, end:], row)
-        return np.concatenate(whole, axis=1), slopes
-
-    @cached_property
-    def known(self) -> tuple[Floats, Floats]:
-        """Prior knowledge as equations with errors of one: values, and matrix of the parameters.
-
-        The first rows, of the distance and of the directions of friction, are not linear; they are zero here.
-        """
-        rows = self._list_known()
-        matrix = np.zeros((len(rows), self.size))
-        for i, (_, error, factors) in enumerate(rows):
-            for j, factor in factors.items():
-                matrix[i, j] = factor / error
-        return np.array([value / error if by else 0.0 for value, error, by in rows]), matrix
-
-    @cached_property
-    def log_width(self) -> float:
-        """Logarithm of the volume of what is known of the motions, any direction of a slide before the contact."""
-        free = sum(self.rubs(k) and not self.slides_first(k) for k in range(len(self.motions)))
-        return float(sum(np.log(error) for _, error, _ in self._list_known())) + free * float(np.log(2 * np.pi) / 2)
-
-    def _list_known(self) -> list[tuple[float, float, dict[int, float]]]:
-        """Prior knowledge: value, error, and factors of the parameters; none of what is not linear."""
-        p = self.priors
-        rows: list[tuple[float, float, dict[int, float]]] = [(0.0, p.distance_share * p.diameter, {})]
-        slides = [k for k in range(len(self.stretches)) if self.slides_first(k)]
-        rows += [(0.0, np.pi / np.sqrt(3) if self.motions[self._before(k)].pushed else p.turn, {}) for k in slides]
-        rows += [(np.log(p.friction), p.friction_factor, {5: 1.0}), (p.loss, p.loss, {6: 1.0})]
-        for k, motion in enumerate(self.motions):
-            at, last = self.start[k], self.start[k + 1] - 1
-            rows += [(0.0, p.shift_share * p.diameter, {at + axis: 1.0}) for axis in (0, 1)]
-            if motion.pushed and self.glide:
-                rows += [(0.0, p.push, {at + 4 + axis: 1.0}) for axis in (0, 1)]
-            elif motion.pushed:
-                rows.append((0.0, p.friction_scatter, {at + 4: 1.0}))
-            if motion.ends:
-                lasts, factor = self.slides.get(k, self.usual_duration(k))
-                rows.append((np.log(lasts), factor, {at + 6: 1.0}))
-            if motion.rolls:
-                rows.append((0.0, p.loss_scatter, {last: 1.0, 6: -1.0}))
-        return rows
-
-    def _before(self, k: int) -> int:
-        """Find the stretch of the same body before the contact."""
-        return next(i for i, s in enumerate(self.stretches) if s.ball == self.stretches[k].ball and not s.after)
-
-    def _add_distance(self, x: Floats, known: Floats, by: Floats) -> None:
-        """Add the residual and the derivatives of the distance at which the bodies touch."""
-        gap, error = x[:, 1:3] - x[:, 3:5], self.priors.distance_share * self.priors.diameter
-        apart = np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 1e-12)
-        known[:, 0] = (apart - self.priors.diameter) / error
-        by[:, 0, 1:3] = gap / apart[:, None] / error
-        by[:, 0, 3:5] = -by[:, 0, 1:3]
-
-    def _add_friction_direction(self, x: Floats, k: int, known: Floats, by: Floats, row: int) -> None:
-        """Add the residual and the derivatives of the direction of friction.
-
-        A ball that rolled or rested returns towards its velocity before the hit, apart from the spin that the friction
-        between the bodies adds. That of a ball that slid is all but unknown.
-        """
-        before = self._before(k)
-        at, from_ = self.start[k], self.start[before]
-        moved, now = self.motions[before].moves, x[:, at + 2 : at + 4]
-        old = x[:, from_ + 2 : from_ + 4] if moved else np.zeros_like(now)
-        way = old - now
-        size = np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9)
-        share = (np.hypot(old[:, 0], old[:, 1]) + np.hypot(now[:, 0], now[:, 1])) / size
-        error = np.hypot(0.1 * share, np.pi / np.sqrt(3) if self.motions[before].pushed else self.priors.turn)
-        off = x[:, at + 5] - np.arctan2(way[:, 1], way[:, 0])
-        known[:, row] = ((off + np.pi) % (2 * np.pi) - np.pi) / error
-        turn = np.column_stack([-way[:, 1], way[:, 0]]) / (size**2 * error)[:, None]
-        by[:, row, at + 5], by[:, row, at + 2 : at + 4] = 1 / error, turn
-        if moved:
-            by[:, row, from_ + 2 : from_ + 4] = -turn
-
-
-@dataclass(frozen=True)
-class LocalSolution:
-    """The minimum of a problem.
-
-    chi2 and dof are those of the positions that are not beside the contact. Their errors are smaller or larger than
-    assumed, so that they say nothing about the size of the others.
-    """
-
-    problem: LocalProblem
-    x: Floats
-    cov: Floats
-    sizes: tuple[float, ...]  # of the errors of each stretch, over the claimed ones
-    residual: Floats  # (2n,) of all positions
-    freedom: Floats  # (2n,) degrees of freedom of each residual
-    cost: float  # chi^2 with what is known
-    cost_of_known: float
-    log_volume: float  # logarithm of the volume of the errors: half that of the determinant of cov
-
-    @property
-    def chi2(self) -> float:
-        """Sum of squared residuals."""
-        return float((self.residual[self.problem.counted] ** 2).sum())
-
-    @property
-    def dof(self) -> float:
-        """Degrees of freedom."""
-        return max(float(self.freedom[self.problem.counted].sum()), 0.5)
-
-    @property
-    def is_good(self) -> bool:
-        """True if chi^2 is what the claimed errors make it, and nothing known is far off."""
-        usual = abs(self.chi2 - self.dof) < 3 * float(np.sqrt(2 * self.dof))
-        return usual and self.cost_of_known < 15
-
-    @property
-    def log_evidence(self) -> float:
-        """Logarithm of the probability of the positions by the motions of the problem, but for a constant."""
-        return self.log_volume - self.cost / 2 - self.problem.log_width
-
-    @property
-    def cost_with_price(self) -> float:
-        """Cost with a price for each parameter that the positions determine, by which problems are compared."""
-        n = len(self.residual)
-        return self.cost + (n - float(self.freedom.sum())) * float(np.log(max(n, 2)))
-
-
-def solve_problem(
-    problem: LocalProblem, x: Floats, sizes: Sequence[float], steps: int = 40, least_gain: float = 1e-4
-) -> LocalSolution:
-    """Solve one local fit: descend to its minimum."""
-    return solve_problems([problem], x[None], sizes, steps, least_gain=least_gain)[0]
-
-
-def solve_problems(
-    problems: Sequence[LocalProblem],
-    x: Floats,
-    sizes: Sequence[float],
-    steps: int = 40,
-    *,
-    hopeless: float = np.inf,
-    least_gain: float = 1e-4,
-) -> list[LocalSolution]:
-    """Solve local fits from x (m, n) by damped Gauss-Newton steps (Levenberg and Marquardt).
-
-    The problems differ only in what is known. hopeless: by which a cost exceeds the least one where the descent ends
-    after four steps, because nothing needs so poor a solution.
-    """
-    one, x = problems[0], x.copy()
-    known = [np.stack(part) for part in zip(*(p.known for p in problems), strict=True)]
-    r, j = one.residuals(x, sizes, known)
-    cost, damping, turns = (r**2).sum(axis=1), np.full(len(x), 1e-3), np.zeros(len(x), dtype=int)
-    active = np.arange(len(x))
-    while len(active):
-        slopes = j[active]
-        square = np.swapaxes(slopes, 1, 2) @ slopes
-        pull = np.swapaxes(slopes, 1, 2) @ r[active][..., None]
-        size = np.diagonal(square, axis1=1, axis2=2) + 1e-12
-        square[:, np.arange(one.size), np.arange(one.size)] += damping[active][:, None] * size
-        step = -solve_each(square, pull)[..., 0]
-        tried = _within_reach(one, x[active], step)
-        new_r, new_j = one.residuals(tried, sizes, [part[active] for part in known])
-        new = (new_r**2).sum(axis=1)
-        better = new <= cost[active]
-        gain, at = (cost[active] - new)[better], active[better]
-        x[at], r[at], j[at], cost[at] = tried[better], new_r[better], new_j[better], new[better]
-        damping[active] *= np.where(better, 0.2, 8.0)
-        turns[at] += 1
-        ends = np.zeros(len(x), dtype=bool)
-        ends[at] = (gain < least_gain * (1 + 1e-3 * cost[at])) | (turns[at] >= steps)
-        ends |= (damping > 1e8) | ((turns > 3) & (cost > cost.min() + hopeless))
-        active = active[~ends[active]]
-    n = 2 * sum(map(len, one.stretches))
-    size = np.sqrt(np.maximum((j**2).sum(axis=1), 1e-300))
-    unit = j / size[:, None]
-    square = np.swapaxes(unit, 1, 2) @ unit
-    cov = np.linalg.pinv(square, rcond=1e-13, hermitian=True) / (size[:, :, None] * size[:, None])
-    freedom = 1 - ((j[:, :n] @ cov) * j[:, :n]).sum(axis=2)
-    free = (j == 0).all(axis=1)  # the direction of a slide that no position shows: any
-    square[:, np.arange(one.size), np.arange(one.size)] += free
-    volume = -np.linalg.slogdet(square)[1] / 2 - np.log(np.where(free, 0.55, size)).sum(axis=1)
-    known_cost = (r[:, n:] ** 2).sum(axis=1)
-    return [
-        LocalSolution(
-            p, x[i], cov[i], tuple(sizes), r[i, :n], freedom[i], float(cost[i]), float(known_cost[i]), float(volume[i])
-        )
-        for i, p in enumerate(problems)
-    ]
-
-
-def solve_each(square: Floats, pull: Floats) -> Floats:
-    """Solve the linear systems (m, n, n) of local fits; NaN of a singular one, whose step is then rejected."""
-    try:
-        return np.asarray(np.linalg.solve(square, pull))
-    except np.linalg.LinAlgError:
-        if len(square) == 1:
-            return np.full_like(pull, np.nan)
-        return np.concatenate([solve_each(square[k : k + 1], pull[k : k + 1]) for k in range(len(square))])
-
-
-def _within_reach(problem: LocalProblem, x: Floats, step: Floats) -> Floats:
-    """Steps (m, n) whose logarithms change by at most one."""
-    out = x + step
-    taus = [problem.start[k] + 6 for k, motion in enumerate(problem.motions) if motion.ends]
-    logs = [5, *taus, *(problem.start[k] + 4 for k in range(len(problem.motions)) if problem.rubs(k))]
-    out[:, logs] = np.clip(out[:, logs], x[:, logs] - 1, x[:, logs] + 1)
-    out[:, taus] = np.clip(out[:, taus], np.log(1e-10), np.log(1e2))
-    return out
-
-
-# --- starts ---
 
 
 @dataclass(frozen=True)
@@ -373,11 +40,11 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, zoo
     span = float(np.abs(stretch.time - contact).max())
     taus = np.geomspace(span / 40, 1.5 * span, 12)
     costs, fits, left = _fit_each(stretch, contact, motion, taus)
-    best = int(np.argmin(costs))
+    best = _find_first_best(costs)
     for _ in range(zooms if motion.ends else 0):
         taus = np.geomspace(taus[max(best - 1, 0)], taus[min(best + 1, len(taus) - 1)], 7)
         costs, fits, left = _fit_each(stretch, contact, motion, taus)
-        best = int(np.argmin(costs))
+        best = _find_first_best(costs)
     out, plain = np.zeros(motion.size), fits.shape[1] - motion.rolls
     out[: 2 * plain] = fits[best, :plain].ravel()
     if motion.ends:
@@ -387,6 +54,11 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, zoo
     counted = ~stretch.near
     chi2 = float((stretch.far.whiten(left[best][counted]) ** 2).sum()) if counted.any() else 0.0
     return StretchFit(out, chi2, max(2 * int(counted.sum()) - motion.size, 1))
+
+
+def _find_first_best(costs: Floats, *, same: float = 1e-9) -> int:
+    """Find the first of the least costs. Slides that outlast a stretch all cost the same, but for rounding."""
+    return int(np.argmax(costs <= costs.min() * (1 + same)))
 
 
 def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) -> tuple[Floats, Floats, Floats]:
@@ -497,7 +169,7 @@ def fit_motions(
     glides: Sequence[bool],
     priors: LocalPriors,
     striker: Sequence[MotionKind] = MAY_ROLL,
-) -> list[LocalSolution]:
+) -> FitInSteps[list[LocalSolution]]:
     """Fit the motions that the stretches may have, the simplest first, until one describes the positions.
 
     That one is returned alone. If none does, all are returned, and first the one of the smallest cost with its price.
@@ -521,29 +193,37 @@ def fit_motions(
                 x[2 * ball - 1 : 2 * ball + 1] = np.mean(own_places, axis=0)
             for k in range(len(stretches)):
                 x[problem.start[k] : problem.start[k] + 2] -= x[problem.place(k)]
-            found.append(_try_other_starts(solve_problem(problem, x, [1.0] * len(stretches), least_gain=ROUGH_GAIN)))
+            [[first]] = yield [Descent.of(problem, x, [1.0] * len(stretches), ROUGH_GAIN)]
+            found.append((yield from _try_other_starts(first)))
             if found[-1].is_good:  # the simplest come first
                 return found[-1:]
     noise = max(1.0, min(s.chi2 / s.dof for s in found))
     return sorted(found, key=lambda s: s.cost / noise + s.cost_with_price - s.cost)
 
 
-def _try_other_starts(solution: LocalSolution) -> LocalSolution:
+def _try_other_starts(solution: LocalSolution) -> FitInSteps[LocalSolution]:
     """Solve again from other durations of the roll before the contact, if the solution is a poor one; the best of all.
 
     A long roll with a large loss looks like a slide, so that there may be several minima.
     """
-    problem, tries = solution.problem, [solution]
+    problem, starts = solution.problem, list[Floats]()
     for k, motion in enumerate(problem.motions):
         if motion.ends and not problem.stretches[k].after and not solution.is_good:
             for share in (0.2, 0.5, 0.8):
                 x = solution.x.copy()
                 x[problem.start[k] + 6], x[problem.start[k + 1] - 1] = np.log(share * problem.spans[k]), x[6]
-                tries.append(solve_problem(problem, x, solution.sizes, 15, ROUGH_GAIN))
-    return min(tries, key=lambda one: one.cost)
+                starts.append(x)
+    if not starts:
+        return solution
+    [tries] = yield [
+        Descent([problem] * len(starts), np.array(starts), solution.sizes, steps=15, least_gain=ROUGH_GAIN)
+    ]
+    return min([solution, *tries], key=lambda one: one.cost)
 
 
-def weigh_by_residuals(found: Sequence[LocalSolution], known: bool, shared: float = 8.0) -> list[LocalSolution]:
+def weigh_by_residuals(
+    found: Sequence[LocalSolution], known: bool, shared: float = 8.0
+) -> FitInSteps[list[LocalSolution]]:
     """Solve local fits again with errors as large and as lasting as the residuals of each stretch; best first.
 
     known: errors are claimed, and are never smaller than that. shared: degrees of freedom with which the mean of all
@@ -573,8 +253,8 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool, shared: floa
             factor = own * lasting[k] + (1 - own) * usual
         square *= factor
         sizes.append(size * float(np.sqrt(max(square, 1.0 if known else 1e-12))))
-    again = [solve_problem(one.problem, one.x, sizes, least_gain=ROUGH_GAIN) for one in found]
-    return sorted(again, key=lambda s: -s.log_evidence)
+    again = yield [Descent.of(one.problem, one.x, sizes, ROUGH_GAIN) for one in found]
+    return sorted((one for [one] in again), key=lambda s: -s.log_evidence)
 
 
 def shows_end(solution: LocalSolution, k: int, *, least_positions: int = 4, least_sigma: float = 10.0) -> bool:
@@ -599,7 +279,7 @@ def mix_solutions(
     shifts: Sequence[float] = (0.1, 0.3, 1.0),
     durations: int = 6,
     least_weight: float = 0.01,
-) -> list[tuple[float, LocalSolution]]:
+) -> FitInSteps[list[tuple[float, LocalSolution]]]:
     """Weigh the solutions of local fits by their evidence: motions of the stretches and durations of their slides.
 
     A fit of the duration of a slide has no error to rely on where the positions do not show its end. While the slide
@@ -612,13 +292,14 @@ def mix_solutions(
     for one in found:
         if one.log_evidence < best - 7:  # its slides may fit better with another duration
             continue
-        parts = _drop_unlikely([(0.0, each) for each in _solve_with_shifts(one, shifts)], least_weight)
+        shifted = yield from _solve_with_shifts(one, shifts)
+        parts = _drop_unlikely([(0.0, each) for each in shifted], least_weight)
         usual = one.problem.priors.shift_share
         shifts = [each.problem.priors.shift_share / usual for _, each in parts]  # the next motions have the same
         for k, motion in enumerate(one.problem.motions):
             if motion.ends and not shows_end(one, k):
                 may_slide_on = not any(other.problem.motions[k] == SLIDE for other in found)
-                varied = _vary_each_slide(parts, k, durations, least_weight, may_slide_on)
+                varied = yield from _vary_each_slide(parts, k, durations, least_weight, may_slide_on)
                 parts = _drop_unlikely(varied, least_weight)
         mixture += parts
     mixture = _drop_unlikely(mixture, least_weight)
@@ -626,12 +307,13 @@ def mix_solutions(
     return [(float(w), one) for w, (_, one) in zip(weights / weights.sum(), mixture, strict=True)]
 
 
-def _solve_with_shifts(solution: LocalSolution, shares: Sequence[float]) -> list[LocalSolution]:
+def _solve_with_shifts(solution: LocalSolution, shares: Sequence[float]) -> FitInSteps[list[LocalSolution]]:
     """Solve again with other distances by which a body may be elsewhere after the contact."""
     problem, usual = solution.problem, solution.problem.priors
     priors = [replace(usual, shift_share=share * usual.shift_share) for share in shares]
     problems = [replace(problem, priors=each) for each in priors]
-    return solve_problems(problems, np.tile(solution.x, (len(problems), 1)), solution.sizes, 8)
+    [found] = yield [Descent(problems, np.tile(solution.x, (len(problems), 1)), solution.sizes, steps=8)]
+    return found
 
 
 def _log_weight(part: tuple[float, LocalSolution]) -> float:
@@ -652,7 +334,7 @@ def _vary_each_slide(
     least: float,
     may_slide_on: bool,
     margin: float = 3.0,
-) -> list[tuple[float, LocalSolution]]:
+) -> FitInSteps[list[tuple[float, LocalSolution]]]:
     """Solve each solution of the same motions, the likeliest first, with each duration of one slide.
 
     The others get only durations that are likely in the first, by `least` and a margin of the logarithm. may_slide_on:
@@ -661,10 +343,10 @@ def _vary_each_slide(
     cells = _list_durations(parts[0][1], k, durations, may_slide_on)
     if not cells:  # no cost of the stretch is finite
         return list(parts)
-    out = _solve_with_durations(parts[:1], k, cells)
+    out = yield from _solve_with_durations(parts[:1], k, cells)
     best = max(map(_log_weight, out))
     likely = [c for c, one in zip(cells, out, strict=True) if _log_weight(one) >= best + np.log(least) - margin]
-    return out + (_solve_with_durations(parts[1:], k, likely) if len(parts) > 1 else [])
+    return out + ((yield from _solve_with_durations(parts[1:], k, likely)) if len(parts) > 1 else [])
 
 
 @dataclass(frozen=True)
@@ -678,7 +360,7 @@ class SlideDuration:
 
 def _solve_with_durations(
     parts: Sequence[tuple[float, LocalSolution]], k: int, cells: Sequence[SlideDuration]
-) -> list[tuple[float, LocalSolution]]:
+) -> FitInSteps[list[tuple[float, LocalSolution]]]:
     """Solve each solution with each duration of one slide.
 
     A descent starts from the duration of the solution, or from the end of the cell that is nearest to it. From the
@@ -697,7 +379,9 @@ def _solve_with_durations(
                 pull, own = one.problem.values(one.x, k)[4:6], starts[-1][at - 6 : at - 2]
                 own += np.concatenate([pull * (old**2 - new**2) / 2, pull * (old - new)])
             logs.append(log + cell.log_prior)
-    found = solve_problems(problems, np.array(starts), parts[0][1].sizes, 8, hopeless=1.5 * MAX_COST, least_gain=3e-3)
+    [found] = yield [
+        Descent(problems, np.array(starts), parts[0][1].sizes, steps=8, hopeless=1.5 * MAX_COST, least_gain=3e-3)
+    ]
     return list(zip(logs, found, strict=True))
 
 

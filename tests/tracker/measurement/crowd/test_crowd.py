@@ -1,6 +1,7 @@
 """Contacts of many balls against the events of the simulation, and what each contact and all of them say."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -163,6 +164,25 @@ def test_the_contacts_with_the_longest_slides_give_the_friction_of_the_film():
     assert common == {np.median([estimate.value[friction] for estimate in own])}
     z = [(estimate.value[r] - clip.model.restitution) / estimate.std[r] for estimate in measured]
     assert np.median(np.abs(z)) < 2
+
+
+def test_rounding_changes_no_estimate_of_a_contact():
+    """Positions 1e-14 larger once made errors 12 % larger: equal costs, and directions of friction far off."""
+    clip = synthcam.Scene.read("crowd", timing={"frames": 24}).draw(seed=1)
+    read = to_pixels(TrackTable(add_noise(clip, NOISE_PX)), "truth", clip.camera_json)
+    balls = to_ball_tracks(read.clips[0][0], read.camera)
+    found = find_track_contacts(balls, read.camera.ball_diameter)
+    larger = [replace(ball, position=ball.position * (1 + 1e-14)) for ball in balls]
+    one, other = (
+        estimate_contacts(found, positions, read.camera, FitSettings(), at_once=at_once)
+        for positions, at_once in ((balls, 100), (larger, 1))
+    )
+    measured = [(a, b) for (_, a), (_, b) in zip(one, other, strict=True) if isinstance(a, LocalEstimate)]
+    assert len(measured) > 2
+    for a, b in measured:
+        off, std = np.abs(b.value - a.value), a.std
+        assert (off[std > 0] < 1e-7 * std[std > 0]).all()
+        assert b.std == pytest.approx(std, rel=1e-7)
 
 
 @pytest.mark.gate

@@ -1,25 +1,21 @@
 """Fits of one stretch: the end of its slide, and the window that is fitted."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tracker.measurement.local import local_fit
+from tracker.measurement.local.descents import run_alone
 from tracker.measurement.local.local_fit import (
-    LocalPriors,
-    LocalProblem,
     SlideDuration,
     choose_window,
     fit_motions,
     fit_single_stretch,
     mix_solutions,
     shows_end,
-    solve_each,
-    solve_problem,
-    solve_problems,
 )
+from tracker.measurement.local.local_problem import LocalPriors, LocalProblem
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Stretch
 
 NOISE = 1e-6
@@ -79,44 +75,28 @@ def test_an_end_of_a_slide_that_is_not_seen_leaves_the_velocity_known(slide_s, s
         make_stretch(slide_path(time, 0.9, 1.6, slide_s), time, 3),
         make_stretch(slide_path(time, 0.1, -1.6, 0.1) - [diameter, 0], time, 4, ball=2),
     )
-    found = fit_motions(stretches, 0.0, True, (False,), LocalPriors(diameter))
+    found = run_alone(fit_motions(stretches, 0.0, True, (False,), LocalPriors(diameter)))
     assert shows_end(found[0], 2) == seen
-    problems = [replace(found[0].problem, priors=LocalPriors(diameter, loss=loss)) for loss in (0.05, 0.3)]
-    starts = np.stack([found[0].x, found[0].x + 1e-3])
-    for together, problem, x in zip(solve_problems(problems, starts, found[0].sizes), problems, starts, strict=True):
-        alone = solve_problem(problem, x, found[0].sizes)
-        assert together.cost == pytest.approx(alone.cost)
-        assert together.log_evidence == pytest.approx(alone.log_evidence, abs=1e-3)
-    assert mix_solutions(found, durations=0)  # none fits
-    mixture = mix_solutions(found)
+    assert run_alone(mix_solutions(found, durations=0))  # none fits
+    mixture = run_alone(mix_solutions(found))
     assert sum(weight for weight, _ in mixture) == pytest.approx(1)
     speeds = np.array([one.problem.values(one.x, 2)[2] for _, one in mixture])
     assert speeds == pytest.approx(0.9, abs=1e-3)
 
 
-def test_a_singular_system_stops_no_other():
-    systems = np.stack([2 * np.eye(2), np.ones((2, 2))])
-    one, singular = solve_each(systems, np.ones((2, 2, 1)))
-    assert one.ravel().tolist() == [0.5, 0.5]
-    assert np.isnan(singular).all()
-
-
-def test_a_duration_of_a_slide_starts_next_to_that_of_the_free_fit(monkeypatch):
+def test_a_duration_of_a_slide_starts_next_to_that_of_the_free_fit():
     """From the middle of its cell a descent was cut as hopeless, and a contact lost its r."""
     time = np.arange(1, 23) * 4e-3
     problem = LocalProblem(
         (make_stretch(np.outer(time, [0.4, 0.1]), time),), (SLIDE_AND_ROLL,), LocalPriors(0.06), False
     )
-    at, seen = problem.start[0] + 6, []
+    at = problem.start[0] + 6
     free = SimpleNamespace(problem=problem, x=np.zeros(problem.size), sizes=(1.0,))
     free.x[at] = np.log(0.010)
     cells = [SlideDuration(lasts, 0.3, 0.0) for lasts in (0.002, 0.009, 0.1)]
-    monkeypatch.setattr(
-        local_fit, "solve_problems", lambda problems, starts, *_, **__: seen.extend(starts[:, at]) or starts
-    )
-    local_fit._solve_with_durations([(0.0, free)], 0, cells)
+    [descent] = next(local_fit._solve_with_durations([(0.0, free)], 0, cells))
     edge = np.exp(np.sqrt(3) * 0.3)
-    assert np.exp(seen) == pytest.approx([0.002 * edge, 0.010, 0.1 / edge])
+    assert np.exp(descent.x[:, at]) == pytest.approx([0.002 * edge, 0.010, 0.1 / edge])
 
 
 @pytest.mark.parametrize(("after", "may_slide_on"), [(False, True), (False, False), (True, True)])

@@ -1,0 +1,366 @@
+"""Solves local fits by damped Gauss-Newton steps, those of many hits at once.
+
+A local fit takes dozens of small descents, each from the solutions of those before. `FitInSteps` is such a fit: it
+yields the descents that it needs next, and gets their solutions. `run_together` advances the fits of many hits and
+solves what they need at the same time. Problems of the same form go into one stack of arrays, because numpy's time for
+one small problem is mostly that of its calls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.local.local_problem import LocalProblem, LocalSolution
+from tracker.measurement.local.stretches import Stretch, evaluate_path
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Found = TypeVar("Found")
+MOST_AT_ONCE = 100  # problems in a stack; more are no quicker
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Local fits of one hit from x (m, n). The problems differ only in what is known.
+
+    hopeless: by which a cost exceeds the least one where the descent ends after four steps, because nothing needs so
+    poor a solution.
+    """
+
+    problems: Sequence[LocalProblem]
+    x: Floats
+    sizes: Sequence[float]  # of the errors of each stretch, over the claimed ones
+    steps: int = 40
+    hopeless: float = np.inf
+    least_gain: float = 1e-4
+
+    @staticmethod
+    def of(problem: LocalProblem, x: Floats, sizes: Sequence[float], least_gain: float) -> Descent:
+        """The descent of one problem from one start (n,)."""
+        return Descent([problem], x[None], sizes, least_gain=least_gain)
+
+
+FitInSteps: TypeAlias = Generator[list[Descent], list[list[LocalSolution]], Found]
+
+
+def run_alone(fit: FitInSteps[Found]) -> Found:
+    """Run one local fit to its end."""
+    [found] = run_together([fit])
+    return found
+
+
+def run_together(fits: Sequence[FitInSteps[Found]]) -> list[Found]:
+    """Run local fits to their ends, and solve what they need at the same time together."""
+    out, waiting = dict[int, Found](), dict[int, list[Descent]]()
+
+    def advance(number: int, answer: list[list[LocalSolution]] | Exception | None) -> None:
+        fit = fits[number]
+        try:
+            waiting[number] = fit.throw(answer) if isinstance(answer, Exception) else fit.send(answer)  # type: ignore[arg-type]
+        except StopIteration as end:
+            out[number] = end.value
+
+    for number in range(len(fits)):
+        advance(number, None)
+    while waiting:
+        asked = dict(waiting)
+        waiting.clear()
+        for number, answer in zip(asked, _answer(list(asked.values())), strict=True):
+            advance(number, answer)
+    return [out[number] for number in range(len(fits))]
+
+
+def _answer(asked: Sequence[list[Descent]]) -> list[list[list[LocalSolution]] | Exception]:
+    """The solutions of the descents of each fit, or the error of a fit whose arithmetic fails."""
+    try:
+        found = iter(solve_descents([descent for each in asked for descent in each]))
+        return [[next(found) for _ in each] for each in asked]
+    except (ArithmeticError, ValueError) as error:
+        if len(asked) == 1:
+            return [error]
+        return [answer for each in asked for answer in _answer([each])]  # one hit never costs the others
+
+
+def solve_problem(problem: LocalProblem, x: Floats, sizes: Sequence[float], least_gain: float = 1e-4) -> LocalSolution:
+    """Solve one local fit: descend to its minimum."""
+    return solve_descents([Descent.of(problem, x, sizes, least_gain)])[0][0]
+
+
+def solve_descents(descents: Sequence[Descent]) -> list[list[LocalSolution]]:
+    """Solve local fits of one or several hits (Levenberg and Marquardt)."""
+    out = dict[int, list[LocalSolution]]()
+    by_form = sorted(range(len(descents)), key=lambda k: repr(descents[k].problems[0].form))
+    for _, same in groupby(by_form, key=lambda k: descents[k].problems[0].form):
+        for part in _split(list(same), descents):
+            out |= zip(part, _solve_stack([descents[k] for k in part]), strict=True)
+    return [out[k] for k in range(len(descents))]
+
+
+def _split(numbers: Sequence[int], descents: Sequence[Descent]) -> Iterator[list[int]]:
+    """Split the numbers of descents into parts of at most MOST_AT_ONCE problems, or of one descent."""
+    part, count = list[int](), 0
+    for number in numbers:
+        more = len(descents[number].problems)
+        if part and count + more > MOST_AT_ONCE:
+            yield part
+            part, count = [], 0
+        part.append(number)
+        count += more
+    yield part
+
+
+def _solve_stack(descents: Sequence[Descent]) -> list[list[LocalSolution]]:
+    """Solve the descents of problems of the same form."""
+    count = np.array([len(descent.problems) for descent in descents])
+    first = np.cumsum(count) - count
+    stack = ProblemStack(
+        [problem for descent in descents for problem in descent.problems],
+        np.repeat([descent.sizes for descent in descents], count, axis=0),
+    )
+    steps = np.repeat([descent.steps for descent in descents], count)
+    hopeless = np.repeat([descent.hopeless for descent in descents], count)
+    least_gain = np.repeat([descent.least_gain for descent in descents], count)
+    x, each = np.concatenate([descent.x for descent in descents]), np.arange(stack.one.size)
+    active = np.arange(len(x))
+    cost, pull, square = stack.sum_squares(x, active)
+    damping, turns = np.full(len(x), 1e-3), np.zeros(len(x), dtype=int)
+    while len(active):
+        size = np.sqrt(np.diagonal(square[active], axis1=1, axis2=2) + 1e-12)
+        damped = square[active] / size[:, :, None] / size[:, None]
+        damped[:, each, each] += damping[active][:, None]
+        step = -solve_each(damped, (pull[active] / size)[..., None])[..., 0] / size
+        tried = _within_reach(stack.one, x[active], step)
+        new, new_pull, new_square = stack.sum_squares(tried, active)
+        better = new <= cost[active]
+        gain, at = (cost[active] - new)[better], active[better]
+        x[at], cost[at], pull[at], square[at] = tried[better], new[better], new_pull[better], new_square[better]
+        damping[active] *= np.where(better, 0.2, 8.0)
+        turns[at] += 1
+        ends = np.zeros(len(x), dtype=bool)
+        ends[at] = (gain < least_gain[at] * (1 + 1e-3 * cost[at])) | (turns[at] >= steps[at])
+        least_cost = np.repeat(np.minimum.reduceat(cost, first), count)
+        ends |= (damping > 1e8) | ((turns > 3) & (cost > least_cost + hopeless))
+        active = active[~ends[active]]
+    found = iter(_read_solutions(stack, x, cost, square))
+    return [[next(found) for _ in descent.problems] for descent in descents]
+
+
+def _read_solutions(stack: ProblemStack, x: Floats, cost: Floats, square: Floats) -> list[LocalSolution]:
+    """The solutions of a stack by its parameters, costs and squared derivatives at the minima."""
+    each = np.arange(stack.one.size)
+    size = np.sqrt(np.maximum(np.diagonal(square, axis1=1, axis2=2), 1e-300))
+    unit = square / size[:, :, None] / size[:, None]
+    cov = np.linalg.pinv(unit, rcond=1e-13, hermitian=True) / (size[:, :, None] * size[:, None])
+    free = np.diagonal(square, axis1=1, axis2=2) == 0  # the direction of a slide that no position shows: any
+    unit[:, each, each] += free
+    volume = -np.linalg.slogdet(unit)[1] / 2 - np.log(np.where(free, 0.55, size)).sum(axis=1)
+    residuals, freedoms, known = stack.weigh_positions(x, cov)
+    return [
+        LocalSolution(
+            problem=problem,
+            x=x[i],
+            cov=cov[i],
+            sizes=tuple(stack.sizes[i].tolist()),
+            residual=residuals[i][own],
+            freedom=freedoms[i][own],
+            cost=float(cost[i]),
+            cost_of_known=float(known[i]),
+            log_volume=float(volume[i]),
+        )
+        for i, (problem, own) in enumerate(zip(stack.problems, stack.present, strict=True))
+    ]
+
+
+def solve_each(square: Floats, pull: Floats) -> Floats:
+    """Solve the linear systems (m, n, n) of local fits; NaN of a singular one, whose step is then rejected."""
+    try:
+        return np.asarray(np.linalg.solve(square, pull))
+    except np.linalg.LinAlgError:
+        if len(square) == 1:
+            return np.full_like(pull, np.nan)
+        return np.concatenate([solve_each(square[k : k + 1], pull[k : k + 1]) for k in range(len(square))])
+
+
+def _within_reach(problem: LocalProblem, x: Floats, step: Floats) -> Floats:
+    """Steps (m, n) whose logarithms, and directions of friction in rad, change by at most one."""
+    out = x + step
+    taus = [problem.start[k] + 6 for k, motion in enumerate(problem.motions) if motion.ends]
+    rubs = [problem.start[k] + axis for k in range(len(problem.motions)) if problem.rubs(k) for axis in (4, 5)]
+    short = [5, *taus, *rubs]
+    out[:, short] = np.clip(out[:, short], x[:, short] - 1, x[:, short] + 1)
+    out[:, taus] = np.clip(out[:, taus], np.log(1e-10), np.log(1e2))
+    return out
+
+
+class StretchStack(NamedTuple):
+    """The stretches of one side of h hits, with as many positions each; those that a stretch lacks have no weight."""
+
+    stretches: Sequence[Stretch]
+    time: Floats  # (h, n) s
+    position: Floats  # (h, n, 2) m
+    root: Floats | None  # (h, n, 2, 2) that whitens each position; None if errors of different positions correlate
+
+    @staticmethod
+    def of(stretches: Sequence[Stretch]) -> StretchStack:
+        """Stack stretches."""
+        most = max(map(len, stretches))
+        filled = [np.minimum(np.arange(most), len(s) - 1) for s in stretches]
+        root = None
+        if not any(s.whiten.blocks for s in stretches):
+            root = np.stack([s.whiten.alone[rows] for s, rows in zip(stretches, filled, strict=True)])
+            for s, own in zip(stretches, root, strict=True):
+                own[len(s) :] = 0.0
+        time, position = (
+            np.stack([getattr(s, name)[rows] for s, rows in zip(stretches, filled, strict=True)])
+            for name in ("time", "position")
+        )
+        return StretchStack(stretches, time, position, root)
+
+    def whiten(self, errors: Floats, hits: Ints) -> Floats:
+        """Whiten errors (m, k, n, 2) of problems of each of these hits (m,), in ascending order: (m, k, 2n)."""
+        out = np.zeros(errors.shape)
+        if self.root is not None:
+            root = self.root[hits][:, None]
+            out[..., 0] = root[..., 0, 0] * errors[..., 0]
+            out[..., 1] = root[..., 1, 0] * errors[..., 0] + root[..., 1, 1] * errors[..., 1]
+            return out.reshape(*errors.shape[:-2], -1)
+        out = out.reshape(*errors.shape[:-2], -1)
+        for hit in np.unique(hits):
+            rows, stretch = hits == hit, self.stretches[hit]
+            out[rows, :, : 2 * len(stretch)] = stretch.whiten(errors[rows, :, : len(stretch)])
+        return out
+
+
+class ProblemStack:
+    """Problems of the same form, of one or several hits, whose residuals are computed together.
+
+    A stretch depends on a few of the parameters only, so sums of squares are those of its own rows and parameters.
+    """
+
+    def __init__(self, problems: Sequence[LocalProblem], sizes: Floats) -> None:
+        """sizes (m, 4): of the errors of each stretch, over the claimed ones."""
+        self.problems, self.sizes, self.one = problems, sizes, problems[0]
+        numbers = dict[int, int]()  # of the hits
+        self.hit = np.array([numbers.setdefault(id(p.stretches), len(numbers)) for p in problems])
+        _, firsts = np.unique(self.hit, return_index=True)
+        self.sides = [StretchStack.of(side) for side in zip(*(problems[k].stretches for k in firsts), strict=True)]
+        lengths = np.array([[len(s) for s in p.stretches] for p in problems])
+        present = [np.arange(2 * side.time.shape[1]) < 2 * lengths[:, k, None] for k, side in enumerate(self.sides)]
+        self.present = np.concatenate(present, axis=1)  # (m, 2n) whether a coordinate is one of the problem
+        self.parts = [_list_parameters(self.one, k) for k in range(len(self.sides))]
+        self.spans = np.array([p.spans for p in problems])
+        self.known, self.by_known = (np.stack(part) for part in zip(*(p.known for p in problems), strict=True))
+        self.square_of_known = np.swapaxes(self.by_known, 1, 2) @ self.by_known
+        self.slides = [k for k in range(len(self.sides)) if self.one.slides_first(k)]
+        priors = [p.priors for p in problems]
+        self.diameter = np.array([p.diameter for p in priors])
+        self.distance_error = np.array([p.distance_share * p.diameter for p in priors])
+        self.turn = np.array([p.turn for p in priors])
+
+    def sum_squares(self, x: Floats, which: Ints) -> tuple[Floats, Floats, Floats]:
+        """Sums of squared whitened residuals r (m,), of their derivatives J times r (m, n), and of J by J (m, n, n).
+
+        x (m, n): parameters of these problems (m,).
+        """
+        known, by = self._weigh_known(x, which)
+        curved = by[:, : 1 + len(self.slides)]  # the other rows are always the same
+        square = self.square_of_known[which] + np.swapaxes(curved, 1, 2) @ curved
+        cost, pull = (known**2).sum(axis=1), (known[:, None] @ by)[:, 0]
+        for k, (rows, columns) in enumerate(self.parts):
+            white = self._whiten_stretch(x, which, k)
+            own = (white @ np.swapaxes(white, 1, 2))[:, rows[:, None], rows]
+            cost += own[:, 0, 0]
+            pull[:, columns] += own[:, 1:, 0]
+            square[:, columns[:, None], columns] += own[:, 1:, 1:]
+        return cost, pull, square
+
+    def weigh_positions(self, x: Floats, cov: Floats) -> tuple[Floats, Floats, Floats]:
+        """Whitened residuals (m, 2n) of all problems, their degrees of freedom, and the cost (m,) of what is known."""
+        which, residuals, freedoms = np.arange(len(x)), list[Floats](), list[Floats]()
+        for k, (rows, columns) in enumerate(self.parts):
+            white = self._whiten_stretch(x, which, k)[:, rows]
+            by = white[:, 1:]
+            residuals.append(white[:, 0])
+            freedoms.append(1 - (by * (cov[:, columns[:, None], columns] @ by)).sum(axis=1))
+        known, _ = self._weigh_known(x, which)
+        return np.concatenate(residuals, axis=1), np.concatenate(freedoms, axis=1), (known**2).sum(axis=1)
+
+    def _whiten_stretch(self, x: Floats, which: Ints, k: int) -> Floats:
+        """Whitened residuals of a stretch, and their derivatives by its own parameters and by the instant.
+
+        Returns (m, 1 + size + 1, 2n), in that order.
+        """
+        one, side, hits, span = self.one, self.sides[k], self.hit[which], self.spans[which, k]
+        own = one.values(x, k, span)
+        path, slope = evaluate_path(one.motions[k], own, side.time[hits] - x[:, :1], one.stretches[k].after)
+        if one.slides_first(k):
+            lasts = np.exp(own[:, 6])
+            tau, by_v = np.minimum(lasts, span)[:, None, None, None], slope[:, 2:4].copy()
+            slope[:, 4:6] -= tau * by_v
+            ends = tau[:, 0] * (lasts < span)[:, None, None]
+            slope[:, 6] -= ends * (own[:, 4, None, None] * by_v[:, 0] + own[:, 5, None, None] * by_v[:, 1])
+        if one.rubs(k):
+            ax, ay = own[:, 4, None, None], own[:, 5, None, None]
+            along = ax * slope[:, 4] + ay * slope[:, 5]
+            slope[:, 5] = ax * slope[:, 5] - ay * slope[:, 4]
+            slope[:, 4] = along
+        white = side.whiten(np.concatenate([(path - side.position[hits])[:, None], slope], axis=1), hits)
+        white /= self.sizes[which, k, None, None]
+        return white
+
+    def _weigh_known(self, x: Floats, which: Ints) -> tuple[Floats, Floats]:
+        """Residuals (m, rows) of what is known, and their derivatives (m, rows, n)."""
+        by = self.by_known[which]
+        known = (by @ x[..., None])[..., 0] - self.known[which]
+        self._add_distance(x, which, known, by)
+        for row, k in enumerate(self.slides, 1):
+            self._add_friction_direction(x, which, k, known, by, row)
+        return known, by
+
+    def _add_distance(self, x: Floats, which: Ints, known: Floats, by: Floats) -> None:
+        """Add the residual and the derivatives of the distance at which the bodies touch."""
+        gap, error = x[:, 1:3] - x[:, 3:5], self.distance_error[which]
+        apart = np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 1e-12)
+        known[:, 0] = (apart - self.diameter[which]) / error
+        by[:, 0, 1:3] = gap / apart[:, None] / error[:, None]
+        by[:, 0, 3:5] = -by[:, 0, 1:3]
+
+    def _add_friction_direction(self, x: Floats, which: Ints, k: int, known: Floats, by: Floats, row: int) -> None:
+        """Add the residual and the derivatives of the direction of friction.
+
+        A ball that rolled or rested returns towards its velocity before the hit, apart from the spin that the friction
+        between the bodies adds. That of a ball that slid is all but unknown.
+        """
+        one = self.one
+        before = one.find_before(k)
+        at, from_ = one.start[k], one.start[before]
+        moved, now = one.motions[before].moves, x[:, at + 2 : at + 4]
+        old = x[:, from_ + 2 : from_ + 4] if moved else np.zeros_like(now)
+        way = old - now
+        size = np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9)
+        share = (np.hypot(old[:, 0], old[:, 1]) + np.hypot(now[:, 0], now[:, 1])) / size
+        error = np.hypot(0.1 * share, np.pi / np.sqrt(3) if one.motions[before].pushed else self.turn[which])
+        off = x[:, at + 5] - np.arctan2(way[:, 1], way[:, 0])
+        known[:, row] = ((off + np.pi) % (2 * np.pi) - np.pi) / error
+        turn = np.column_stack([-way[:, 1], way[:, 0]]) / (size**2 * error)[:, None]
+        by[:, row, at + 5], by[:, row, at + 2 : at + 4] = 1 / error, turn
+        if moved:
+            by[:, row, from_ + 2 : from_ + 4] = -turn
+
+
+def _list_parameters(problem: LocalProblem, k: int) -> tuple[Ints, Ints]:
+    """The rows of `_whiten_stretch` of a stretch that count, and the parameters to which all but the first belong.
+
+    A row counts twice if its derivative is also that by a parameter which stretches share.
+    """
+    size = problem.motions[k].size
+    start, place = problem.start[k], problem.place(k)
+    rows = [0, *range(1, size + 1), size + 1, 1, 2, *([5] if problem.rubs(k) else [])]
+    columns = [*range(start, start + size), 0, place.start, place.start + 1, *([5] if problem.rubs(k) else [])]
+    return np.array(rows), np.array(columns)

@@ -1,0 +1,125 @@
+"""Descents of local fits: those of several hits together, each as it is alone, and none that costs another."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tracker.measurement.local import descents
+from tracker.measurement.local.descents import (
+    Descent,
+    ProblemStack,
+    run_alone,
+    run_together,
+    solve_descents,
+    solve_each,
+)
+from tracker.measurement.local.local_problem import LocalPriors, LocalProblem
+from tracker.measurement.local.stretches import ROLL, SLIDE_AND_ROLL, Stretch
+
+DIAMETER, NOISE = 0.05, 1e-5
+
+
+def make_problem(seed, positions, *, lasting=0.0):
+    """A hit of a rolling ball on another that rolls aside, seen in as many frames on each side."""
+    rng, stretches = np.random.default_rng(seed), []
+    for ball, after in ((1, False), (2, False), (1, True), (2, True)):
+        time = np.arange(1, positions + ball) * 4e-3 * (1 if after else -1)
+        time = np.sort(time)
+        place = [0.0, 0.0] if ball == 1 else [-DIAMETER, 0.0]
+        path = place + np.outer(time, rng.uniform(0.1, 0.5, 2)) - np.outer(time**2, rng.uniform(0, 0.3, 2))
+        cov = np.tile(np.eye(2) * NOISE**2, (len(time), 1, 1))
+        fixed = np.tile(np.eye(2) * lasting**2, (len(time), 1, 1))
+        near = np.zeros(len(time), dtype=bool)
+        noisy = path + rng.normal(0, NOISE, path.shape)
+        stretches.append(Stretch(ball, after, time, noisy, cov + fixed, fixed, near, 1e-4))
+    motions = (ROLL, SLIDE_AND_ROLL, SLIDE_AND_ROLL, SLIDE_AND_ROLL)
+    return LocalProblem(tuple(stretches), motions, LocalPriors(DIAMETER), False)
+
+
+def guess(problem, seed=0):
+    """A start near the truth, the same for all."""
+    x = np.random.default_rng(seed).normal(0, 0.1, problem.size)
+    x[:5] = [0.0, 0.0, 0.0, -DIAMETER, 0.0]
+    x[5], x[6] = np.log(0.2), 0.05
+    for k, motion in enumerate(problem.motions):
+        x[problem.start[k] : problem.start[k] + 2] = 0.0
+        if motion.ends:
+            x[problem.start[k] + 6] = np.log(0.03)
+    return x
+
+
+@pytest.mark.parametrize("lasting", [0.0, 5e-6])
+def test_derivatives_are_those_of_differences(lasting):
+    """Of the cost, by each parameter: half its derivative is that of the residuals times the residuals."""
+    problems = [make_problem(1, 8, lasting=lasting), make_problem(2, 12)]
+    stack = ProblemStack(problems, np.full((2, 4), 1.3))
+    which, x = np.array([1]), guess(problems[1])[None]
+    _, pull, square = stack.sum_squares(x, which)
+    step = 1e-6
+    for k in range(x.shape[1]):
+        high, low = x.copy(), x.copy()
+        high[0, k] += step
+        low[0, k] -= step
+        (cost, beyond, _), (less, before, _) = stack.sum_squares(high, which), stack.sum_squares(low, which)
+        assert (cost - less)[0] / (4 * step) == pytest.approx(pull[0, k], rel=1e-4, abs=1e-4 * np.abs(pull).max()), k
+        assert np.isfinite(beyond - before).all()
+    assert square == pytest.approx(np.swapaxes(square, 1, 2))
+
+
+@pytest.mark.parametrize("lasting", [0.0, 5e-6])
+def test_hits_are_solved_together_as_alone(lasting):
+    """Of different numbers of positions, starts, priors and sizes of the errors."""
+    problems = [make_problem(seed, count, lasting=lasting) for seed, count in ((1, 8), (2, 20), (3, 13))]
+    problems.append(replace(problems[1], priors=LocalPriors(DIAMETER, loss=0.3, turn=0.2)))
+    asked = [
+        Descent([problem], guess(problem, k)[None], [1.0 + k] * 4, steps=5 + k) for k, problem in enumerate(problems)
+    ]
+    found = solve_descents(asked)
+    for descent, [together] in zip(asked, found, strict=True):
+        [[alone]] = solve_descents([descent])
+        std = np.sqrt(np.diag(alone.cov))
+        assert together.x == pytest.approx(alone.x, abs=1e-9 * std.max())
+        assert np.sqrt(np.diag(together.cov)) == pytest.approx(std, rel=1e-9)
+        for name in ("cost", "cost_of_known", "log_volume", "residual", "freedom"):
+            assert getattr(together, name) == pytest.approx(getattr(alone, name), rel=1e-9, abs=1e-9), name
+        assert together.sizes == tuple(descent.sizes)
+    assert len({one.cost for [one] in found}) == len(found)
+
+
+def test_a_failure_of_arithmetic_costs_no_other_hit(monkeypatch):
+    def solve(asked, *, original=descents._solve_stack):
+        if any(np.isnan(descent.x).any() for descent in asked):
+            raise np.linalg.LinAlgError("no eigenvalues")
+        return original(asked)
+
+    def fit(x):
+        try:
+            [[solution]] = yield [Descent([problem], x[None], [1.0] * 4)]
+        except ValueError as error:
+            return str(error)
+        return solution.cost
+
+    monkeypatch.setattr(descents, "_solve_stack", solve)
+    problem = make_problem(1, 8)
+    x = guess(problem)
+    alone = run_alone(fit(x))
+    assert run_together([fit(x), fit(np.full_like(x, np.nan)), fit(x)]) == [alone, "no eigenvalues", alone]
+
+
+def test_fits_that_need_several_descents_or_none_end_in_their_order():
+    def fit(turns):
+        for turn in range(turns):
+            solutions = yield [Descent([problem], guess(problem, turn)[None], [1.0] * 4, steps=1)] * turn
+            assert len(solutions) == turn
+        return turns
+
+    problem = make_problem(1, 8)
+    assert run_together([fit(turns) for turns in (2, 0, 3, 1)]) == [2, 0, 3, 1]
+
+
+def test_a_singular_system_stops_no_other():
+    systems = np.stack([2 * np.eye(2), np.ones((2, 2))])
+    one, singular = solve_each(systems, np.ones((2, 2, 1)))
+    assert one.ravel().tolist() == [0.5, 0.5]
+    assert np.isnan(singular).all()
