@@ -97,8 +97,8 @@ class LibraryFits:
     def extend(self, key: Key, fit: ModelFit, scored: CandidateScore, slack: float = 30.0) -> None:
         """Fit and keep the model of `key`, which is the model of `fit` with the scored candidate added.
 
-        The fit is given up where it cannot come within `slack` in chi^2, or within SCORE_ERROR_CHI2 in cost, of the best
-        model with as many candidates. The cost of its freedom is that at the start of each descent.
+        The fit is given up where it cannot come within `slack` in chi^2, or within SCORE_ERROR_CHI2 in cost, of the
+        best model with as many candidates. The cost of its freedom is that at the start of each descent.
         """
         rivals = self.rivals(key)
         useful_chi2 = min((f.chi2 for f in rivals), default=math.inf) + slack

@@ -158,8 +158,9 @@ class CameraWarp:
     """A correction of a camera's map that predicts stretches which were left out.
 
     recordings, stretches, positions: how many were used. rms_before, rms_after: of the residuals of stretches that were
-    left out, m. p_value: of the gain. size: rms of the displacements at the positions, m. certain: share of their
-    square that is not error. halves: correlation of the maps of two halves of the data.
+    left out, m. p_value: of the gain. size: rms of the displacements at the positions, m. error: standard error of a
+    displacement along either axis there, m. certain: share of the square of the displacements that is not error.
+    halves: correlation of the maps of two halves of the data.
     """
 
     camera: Camera
@@ -170,6 +171,7 @@ class CameraWarp:
     rms_after: float
     p_value: float
     size: float
+    error: float
     certain: float
     halves: float
 
@@ -199,8 +201,12 @@ class CameraWarp:
         warp = self.camera.warp
         if warp is None:
             return []
-        where = f"over {scale * warp.length:.3g} mm of a path"
-        return [f"positions have a further error of {scale * warp.std:.3g} mm along either axis, which lasts {where}"]
+        shared = float(np.sqrt(self.error**2 - warp.std**2))
+        return [
+            f"the map has an error of {scale * self.error:.3g} mm along either axis: {scale * shared:.3g} mm in "
+            f"{len(warp.errors)} maps that all recordings share, and {scale * warp.std:.3g} mm that lasts over "
+            f"{scale * warp.length:.3g} mm of a path"
+        ]
 
 
 def find_camera_warp(results: Sequence[Path], progress: Progress) -> CameraWarp:
@@ -269,11 +275,13 @@ def fit_camera_warp(
             f"{1e3 * before:.4g} to {1e3 * after:.4g} mm (p {value:.2g}, expected under {max_p:g})"
         )
     shift, error = problem.displace(found.mean), problem.displace(found.root)
-    std = float(np.sqrt(np.sum(error**2) / (2 * len(shift))))
+    errors, std = problem.split_error(found.root)
     halves = [problem.displace(problem.solve(half, found.smoothness).mean).ravel() for half in (0, 1)]
     size, variance = (float(np.sum(part**2)) / len(shift) for part in (shift, error))
     return CameraWarp(
-        camera=replace(camera, warp=replace(problem.to_warp(found.mean), std=std, length=problem.field.spacing)),
+        camera=replace(
+            camera, warp=replace(problem.to_warp(found.mean), std=std, length=problem.field.spacing, errors=errors)
+        ),
         recordings=count,
         stretches=stretches,
         positions=len(shift),
@@ -281,6 +289,7 @@ def fit_camera_warp(
         rms_after=after,
         p_value=value,
         size=float(np.sqrt(size)),
+        error=float(np.sqrt(variance / 2)),
         certain=size / (size + variance),
         halves=float(np.corrcoef(halves[0], halves[1])[0, 1]),
     )
@@ -371,12 +380,38 @@ class _WarpProblem:
         return np.stack([basis @ (part @ coefficients) for part in np.split(self.constraint, 2)], axis=1)
 
     def to_warp(self, coefficients: Floats) -> Warp:
-        """The displacements at knots twice as dense as those of the field."""
+        """The displacements at the knots."""
+        x, y, (dx, dy) = *self._knots, self._shift_knots(coefficients)
+        return Warp(x, y, dx, dy)
+
+    @cached_property
+    def _knots(self) -> tuple[Floats, Floats]:
+        """Knots x and y of a warp, twice as dense as those of the field."""
         low, high = self.field.low, self.field.high
         x, y = (np.linspace(low[a], high[a], 2 * self.field.intervals[a] + 1) for a in (0, 1))
-        at = np.stack(np.meshgrid(x, y), axis=-1)
-        shift = self._shift(at.reshape(-1, 2), coefficients).reshape(at.shape)
-        return Warp(x, y, shift[..., 0], shift[..., 1])
+        return x, y
+
+    def _shift_knots(self, coefficients: Floats) -> Floats:
+        """Displacements (2, n, m) at the knots by coefficients (p,)."""
+        at = np.stack(np.meshgrid(*self._knots), axis=-1)
+        return np.moveaxis(self._shift(at.reshape(-1, 2), coefficients).reshape(at.shape), -1, 0)
+
+    def split_error(self, root: Floats, *, share: float = 0.9, most: int = 12) -> tuple[Floats, float]:
+        """Split the error of the displacements into its largest principal components and a rest.
+
+        Each component is a map of one independent standard error. Together they hold `share` of the variance at the
+        positions, unless that needs more than `most`. The rest varies over a way as short as the field can.
+
+        root: (p, p), of the covariance of the coefficients. Returns the maps at the knots (k, 2, n, m), rounded to a
+        nanometre, and the standard error of the rest along either axis, m.
+        """
+        error = self.displace(root).reshape(-1, root.shape[1])
+        size, axes = np.linalg.eigh(error.T @ error / len(error))
+        size, axes = np.maximum(size[::-1], 0.0), axes[:, ::-1]
+        left = 1 - np.cumsum(size) / size.sum()
+        count = min(int(np.sum(left > 1 - share)) + 1, most, len(size) - 1)
+        maps = [self._shift_knots(root @ axes[:, k]).round(9) for k in range(count)]
+        return np.stack(maps), float(np.sqrt(size[count:].sum()))
 
 
 def _leave_out_bad(recordings: Sequence[Sequence[FreeStretch]], most: float = 3.0) -> list[list[FreeStretch]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,9 @@ class Warp:
 
     x (m,) and y (n,) are knots, m, in increasing order; dx and dy (n, m) displacements at them, m. Between the knots
     splines of third order interpolate. Beyond them the displacement is that at the nearest point of their rectangle.
-    std: standard error of a displacement along either axis, m. length: the way over which such an error lasts, m.
+    errors: displacements (k, 2, n, m) at the knots by each of k independent standard errors, m. They are the same in
+    all recordings. std: standard error of a displacement along either axis beside these, m. length: the way over which
+    such an error lasts, m.
     """
 
     x: Array
@@ -30,14 +32,15 @@ class Warp:
     dy: Array
     std: float = 0.0
     length: float = 0.0
+    errors: Array = field(default_factory=lambda: np.zeros((0, 2, 0, 0)))
 
     @staticmethod
     def of(given: Any) -> Warp:
         """Read the key `warp` of camera.json. Raises ValueError, which says what was expected."""
         needed, errors = {"x", "y", "dx", "dy"}, {"std", "length"}
-        if not isinstance(given, Mapping) or set(given) - errors != needed:
+        if not isinstance(given, Mapping) or set(given) - errors - {"errors"} != needed:
             raise ValueError("a table with x, y, dx and dy")
-        if set(given) & errors:
+        if set(given) & (errors | {"errors"}):
             known = [given.get(key) for key in sorted(errors)]
             if not all(isinstance(v, int | float) and not isinstance(v, bool) and 0 < v < np.inf for v in known):
                 raise ValueError("std and length above 0, m, or none of them")
@@ -51,7 +54,8 @@ class Warp:
                 raise ValueError(f"{min_knots} to {max_knots} knots {name} in increasing order, m")
         if not (dx.shape == dy.shape == (len(y), len(x)) and np.isfinite([dx, dy]).all()):
             raise ValueError(f"dx and dy of {len(y)} rows of {len(x)} numbers, one for each knot")
-        warp = Warp(x, y, dx, dy, float(given.get("std", 0.0)), float(given.get("length", 0.0)))
+        maps = _read_maps(given.get("errors", []), (len(y), len(x)))
+        warp = Warp(x, y, dx, dy, float(given.get("std", 0.0)), float(given.get("length", 0.0)), maps)
         at = np.stack(np.meshgrid(np.linspace(x[0], x[-1], 4 * len(x)), np.linspace(y[0], y[-1], 4 * len(y))), axis=-1)
         max_slope = 0.2  # change of a displacement along a way, over this way
         if not np.abs(warp.displace(at)[1]).max() < max_slope:
@@ -61,7 +65,14 @@ class Warp:
     def to_dict(self) -> dict[str, Any]:
         """The key of camera.json."""
         table = {"x": self.x.tolist(), "y": self.y.tolist(), "dx": self.dx.tolist(), "dy": self.dy.tolist()}
-        return table | ({"std": self.std, "length": self.length} if self.std else {})
+        errors = [{"dx": dx.tolist(), "dy": dy.tolist()} for dx, dy in self.errors]
+        table |= {"std": self.std, "length": self.length} if self.std else {}
+        return table | ({"errors": errors} if errors else {})
+
+    @cached_property
+    def error_maps(self) -> tuple[Warp, ...]:
+        """The displacements by each of `errors`."""
+        return tuple(Warp(self.x, self.y, dx, dy) for dx, dy in self.errors)
 
     @cached_property
     def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:
@@ -91,3 +102,18 @@ class Warp:
             if moved < 1e-15:
                 break
         return before
+
+
+def _read_maps(given: Any, shape: tuple[int, int], most: int = 16) -> Array:
+    """Read the key `errors` of a warp: (k, 2, n, m). Raises ValueError."""
+    keys = {"dx", "dy"}
+    rows = given if isinstance(given, list) else [None]
+    if len(rows) > most or not all(isinstance(one, Mapping) and set(one) == keys for one in rows):
+        raise ValueError(f"errors that are a list of at most {most} tables, each with dx and dy")
+    try:
+        maps = np.array([[one[key] for key in ("dx", "dy")] for one in rows if one], dtype=np.float64)
+    except (ValueError, TypeError):
+        maps = np.zeros(0)
+    if rows and not (maps.shape == (len(rows), 2, *shape) and np.isfinite(maps).all()):
+        raise ValueError(f"dx and dy of {shape[0]} rows of {shape[1]} numbers in each of errors, one for each knot")
+    return maps if rows else np.zeros((0, 2, *shape))

@@ -1,4 +1,4 @@
-"""Systematic errors of the camera file (scale, frame rate, ball diameter, view, lamp) in all that is measured.
+"""Systematic errors of the camera file (scale, frame rate, ball diameter, view, lamp, warp) in all that is measured.
 
 Each moves all estimates of all clips of one camera together. `add_camera_errors` finds by how much, from the linear
 response of a fit, and widens the covariance of the estimates. `shared_effects` gives a fit of many clips the part that
@@ -31,6 +31,7 @@ from tracker.measurement.positions import BallTrack
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera, LampSettings
+    from tracker.camera.warp import Warp
 
 Floats = NDArray[np.float64]
 DERIVATIVE_STEP = 1e-3  # of a standard error, for derivatives: t_c must not leave the exposure in which it lies
@@ -121,6 +122,27 @@ class LampError(CameraError):
         return replace(track, position=self.centres(track.position, by)) if track.from_glint else track
 
 
+@dataclass(frozen=True)
+class WarpError(CameraError):
+    """One of the independent errors of the camera's warp; `value` is its rms at the knots, m."""
+
+    map: Warp
+
+    @staticmethod
+    def of(warp: Warp, number: int) -> WarpError:
+        """The error of that number in the camera file."""
+        rms = float(np.sqrt(np.mean(warp.errors[number] ** 2)))
+        return WarpError(f"warp.errors[{number}]", rms, 0.0, warp.error_maps[number])
+
+    def shift(self, position: Floats) -> Floats:
+        """Displacements (n, 2) of positions by one standard error, m."""
+        return self.map.displace(position)[0]
+
+    def move_track(self, track: BallTrack, by: float, fps: float) -> BallTrack:
+        """A ball's positions, displaced."""
+        return replace(track, position=track.position + by * self.shift(track.position))
+
+
 def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
     """The standard errors that the camera file gives."""
     keys = ("scale", "fps", "ball_diameter")
@@ -129,7 +151,9 @@ def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
     views = (ViewError.of(camera, number) for number in range(len(camera.view_errors)))
     lamp = camera.lamp if camera.corrects_glint and not camera.matte else None
     lamps = (LampError.of(camera, lamp, axis) for axis in range(3) if lamp.position_std[axis]) if lamp else ()
-    return (*known, *views, *lamps)
+    warp = camera.warp
+    warps = (WarpError.of(warp, number) for number in range(len(warp.errors))) if warp else ()
+    return (*known, *views, *lamps, *warps)
 
 
 def add_camera_errors(

@@ -178,10 +178,12 @@ def combine(
     if not given:
         raise InputError("results: none, expected at least one folder of results")
     table, notes = _read_all(given)
-    if table["camera"].str.contains('"std": ').any():  # of a warp
+    uncertain = table["camera"].str.contains('"std": ') & ~table["camera"].str.contains('"errors": ')  # of a warp
+    if uncertain.any():
         notes.append(
             "the error of `warp` in camera.json counts as independent from collision to collision; means of collisions "
-            "at the same position are less certain than their errors say"
+            "at the same position are less certain than their errors say. `tracker warp` now writes which part of it "
+            "they share: make the camera file and measure again"
         )
     table, calibrated = _calibrate_together(table)
     notes += calibrated

@@ -8,9 +8,10 @@ import pytest
 from typer.testing import CliRunner
 
 from synthcam_shared.errors import InputError
-from tracker.calibration.camera_warp import fit_camera_warp
+from tracker.calibration.camera_warp import _WarpProblem, fit_camera_warp
 from tracker.calibration.free_stretches import find_free_stretches, fit_stretch
 from tracker.camera.camera import Camera
+from tracker.camera.warp import Warp
 from tracker.cli import app
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 from tracker.results import read_clip
@@ -99,12 +100,28 @@ def test_the_command_finds_a_known_map_within_its_error(tmp_path):
     assert found["size"] == pytest.approx(rms, rel=0.15)
     assert found["rms_after"] < 1.4 * NOISE < 0.6 * found["rms_before"]
     error = np.sqrt(np.mean(np.sum(off**2, axis=1)) / 2)
-    assert camera.warp.std == pytest.approx(error, rel=0.5)
+    assert found["error"] == pytest.approx(error, rel=0.5)
+    assert 0 < camera.warp.std < 0.5 * found["error"]
     track = to_ball_tracks(read_clip(results, 0)[0], camera)[0]
     assert track.fixed[0] == pytest.approx(camera.warp.std**2 * np.eye(2))
     assert track.warp == (camera.warp.std, camera.warp.length)
     again = CliRunner().invoke(app, ["warp", str(results), "-o", str(results / "camera.json")])
     assert "exists and was not made by" in str(again.exception)
+
+
+def test_maps_of_the_error_and_their_rest_are_the_covariance_of_the_displacements():
+    problem = _WarpProblem.of(stretches_of(film(1.0, 6)))
+    root = problem.solve().root
+    maps, std = problem.split_error(root)
+    at = np.concatenate([stretch.position for group in problem.groups for stretch in group])
+    error = problem.displace(root).reshape(len(at), 2, -1)
+    x, y = problem._knots
+    shared = np.stack([Warp(x, y, *one).displace(at)[0] for one in maps], axis=-1)
+    assert np.mean(np.sum(shared**2, axis=-1)) + std**2 == pytest.approx(np.mean(np.sum(error**2, axis=-1)), rel=0.02)
+    assert std**2 < 0.1 * np.mean(np.sum(error**2, axis=-1)) or len(maps) == 12
+    far, other = 0, len(at) // 2  # two recordings share the errors of both axes
+    one, two = (np.einsum("ik,jk->ij", maps[far], maps[other]) for maps in (shared, error))
+    np.testing.assert_allclose(one, two, atol=3 * std**2)
 
 
 def test_an_undistorted_map_is_refused():

@@ -8,6 +8,7 @@ import tracker
 from synthcam_shared.errors import InputError
 from tracker.camera.warp import Warp
 
+ERROR = {"std": 1e-4, "length": 0.1}
 KNOTS = {"x": [0, 1, 2, 3], "y": [0, 1, 2, 3], "dx": [[0] * 4] * 4, "dy": [[0] * 4] * 4}
 X, Y = np.linspace(-0.016, 0.016, 7), np.linspace(-0.012, 0.012, 5)
 
@@ -58,6 +59,18 @@ def test_a_camera_projects_back_what_it_sees(camera):
     np.testing.assert_array_equal(again.unproject(pixels)[0], position)
 
 
+def test_maps_of_errors_are_read_and_displace_as_a_warp_does():
+    maps = [make_warp(), Warp(X, Y, *(0.1 * shift for shift in cubic(*np.meshgrid(X, Y))))]
+    given = (
+        make_warp().to_dict() | ERROR | {"errors": [{key: one.to_dict()[key] for key in ("dx", "dy")} for one in maps]}
+    )
+    read = Warp.of(given)
+    assert read.to_dict() == given
+    at = np.random.default_rng(3).uniform((X[0], Y[0]), (X[-1], Y[-1]), (20, 2))
+    for one, expected in zip(read.error_maps, maps, strict=True):
+        np.testing.assert_array_equal(one.displace(at)[0], expected.displace(at)[0])
+
+
 def test_a_table_in_metres_is_corrected(camera):
     """Its positions are those of another map: the warp displaces them too."""
     import pandas as pd
@@ -82,6 +95,13 @@ def test_a_table_in_metres_is_corrected(camera):
         (KNOTS | {"std": 1e-4}, "std and length above 0, m, or none of them"),
         (KNOTS | {"std": -1e-4, "length": 0.1}, "std and length above 0"),
         (KNOTS | {"dx": [[0, 0, 0.5, 0]] * 4}, "change by less than 0.2 m over a"),
+        (KNOTS | {"errors": []}, "std and length above 0"),
+        (KNOTS | ERROR | {"errors": {}}, "errors that are a list of at most 16 tables, each with dx and dy"),
+        (KNOTS | ERROR | {"errors": [{"dx": [[0] * 4] * 4}]}, "errors that are a list of at most 16 tables"),
+        (
+            KNOTS | ERROR | {"errors": [{"dx": [[0] * 4] * 4, "dy": [[0] * 3] * 4}]},
+            "dx and dy of 4 rows of 4 numbers in",
+        ),
     ],
 )
 def test_nonsense_is_refused(given, expected):

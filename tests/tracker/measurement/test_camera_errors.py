@@ -14,6 +14,7 @@ from tracker.camera.camera import Camera
 from tracker.detection.link import to_centres
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all_jointly, measure
+from tracker.measurement.local.local_estimate import estimate_locally
 from tracker.settings import FitSettings
 
 pytestmark = pytest.mark.usefixtures("not_local")
@@ -100,6 +101,36 @@ def test_covariances_and_what_is_shared_in_the_row(own):
     assert np.sqrt(table["tied"][at][at]) == pytest.approx(row["v0_std"], rel=1e-12)
     assert table["shared"]["scale"]["of"] == camera.scale
     assert table["shared"]["scale"]["free"][at] == pytest.approx(SHARE * row["v0_free"], rel=0.1)
+
+
+def stretch(camera, share):
+    """The camera with a warp whose only error is a longer map, as that of the scale."""
+    half = camera.scale * max(camera.size)
+    knots = np.linspace(-half, half, 5)
+    dx, dy = np.meshgrid(knots, knots)
+    maps = {"errors": [{"dx": (share * dx).tolist(), "dy": (share * dy).tolist()}], "std": 1e-9, "length": half}
+    zero = np.zeros((5, 5)).tolist()
+    return Camera.from_dict(
+        camera.to_dict() | {"warp": {"x": knots.tolist(), "y": knots.tolist(), "dx": zero, "dy": zero} | maps}
+    )
+
+
+def test_an_error_of_the_warp_that_lengthens_all_is_that_of_the_scale(own, monkeypatch):
+    """In the tied fit, in the one without a law, in differences, and in the local estimate."""
+    monkeypatch.setattr("tracker.measurement.estimate.estimate_locally", estimate_locally)
+    truth, camera = truth_of(own, 0)
+    tracks = noisy(truth, np.random.default_rng(0))
+    (by_scale,), (by_warp,) = (measure(tracks, c) for c in (wrong(camera, "scale", 0), stretch(camera, SHARE)))
+    shared = [json.loads(row["cov"])["shared"][key] for row, key in ((by_scale, "scale"), (by_warp, "warp.errors[0]"))]
+    for fit in ("tied", "free"):
+        np.testing.assert_allclose(*(np.array(one[fit], float) for one in shared), rtol=1e-3, atol=1e-6)
+    for name in ("v0", "v0_free", "v0_paper"):
+        assert by_warp[f"{name}_std"] == pytest.approx(by_scale[f"{name}_std"], rel=1e-3)
+    local = json.loads(by_warp["local_shared"])["warp.errors[0]"]
+    for name in ("v0", "v1ox", "v1oy", "v2ox", "v2oy"):
+        off = local["effect"][name] / SHARE - by_warp[f"{name}_local"]
+        assert abs(off) < 0.03 * by_warp["v0_local"]
+    assert abs(local["effect"]["r"]) < 0.1 * SHARE
 
 
 def test_what_clips_of_one_camera_share_does_not_average_away(tmp_path):

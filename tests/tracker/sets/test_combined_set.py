@@ -189,7 +189,9 @@ def test_a_mass_ratio_is_that_of_one_body_over_the_other_whichever_strikes(tmp_p
 def test_a_note_says_that_the_error_of_a_warp_averages_out(tmp_path):
     folder = write_local(tmp_path / "a", 5, 0)
     knots = {"x": [0, 1, 2, 3], "y": [0, 1, 2, 3], "dx": [[0] * 4] * 4, "dy": [[0] * 4] * 4}
-    for warp, said in ((knots, False), (knots | {"std": 1e-4, "length": 0.1}, True)):
+    std = {"std": 1e-4, "length": 0.1}
+    maps = std | {"errors": [{"dx": [[1e-4] * 4] * 4, "dy": [[0] * 4] * 4}]}
+    for warp, said in ((knots, False), (knots | std, True), (knots | maps, False)):
         (folder / "camera.json").write_text(json.dumps(CAMERA | {"warp": warp}))
         notes = tracker.combine(folder, quantities=["r"]).notes
         assert any(note.startswith("the error of `warp`") for note in notes) == said

@@ -177,6 +177,19 @@ def _read_solutions(stack: ProblemStack, x: Floats, cost: Floats, square: Floats
     ]
 
 
+def follow_displacements(solution: LocalSolution, moved: Sequence[Floats]) -> Floats:
+    """Compute the changes (m, n) of the parameters, to first order, by m displacements of all positions.
+
+    moved: displacements (m, positions, 2) of each stretch, m.
+    """
+    problem, alone = solution.problem, np.zeros(1, dtype=np.int64)
+    stack, pull = ProblemStack([problem], np.array([solution.sizes])), np.zeros((len(moved[0]), problem.size))
+    for k, (rows, columns) in enumerate(stack.parts):
+        by = stack._whiten_stretch(solution.x[None], alone, k)[0, rows[1:]]
+        pull[:, columns] += problem.stretches[k].whiten(moved[k]) / solution.sizes[k] @ by.T
+    return np.asarray(pull @ solution.cov)
+
+
 def solve_each(square: Floats, pull: Floats) -> Floats:
     """Solve the linear systems (m, n, n) of local fits; NaN of a singular one, whose step is then rejected."""
     try:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.camera_errors import CameraError, camera_errors
+from tracker.measurement.camera_errors import CameraError, WarpError, camera_errors
 from tracker.measurement.collision.adequacy import compute_p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, GRAVITY
 from tracker.measurement.collision.contacts import Contact, guess_launch
 from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_each_ball, dot, make_ball_average
-from tracker.measurement.local.descents import FitInSteps, run_alone
+from tracker.measurement.local.descents import FitInSteps, follow_displacements, run_alone
 from tracker.measurement.local.local_fit import (
     MAY_ROLL,
     choose_window,
@@ -303,8 +303,15 @@ def _camera_shifts(solution: LocalSolution, camera: Camera) -> Iterator[Floats]:
         if motion.ends:
             rate[at + 6] = -1.0
     scale[5], rate[5], rate[0] = 1.0, 2.0, -x[0]
-    for error in _list_errors(camera):
-        yield error.share * (rate if error.key == "fps" else scale)
+    errors = _list_errors(camera)
+    warps = [error for error in errors if isinstance(error, WarpError)]
+    moved = [np.stack([error.shift(s.position) for error in warps]) for s in solution.problem.stretches if warps]
+    follows = iter(follow_displacements(solution, moved) if warps else ())
+    for error in errors:
+        if isinstance(error, WarpError):
+            yield next(follows)
+        else:
+            yield error.share * (rate if error.key == "fps" else scale)
 
 
 def _list_unseen(solution: LocalSolution) -> list[str]:
