@@ -140,6 +140,20 @@ def _build(number: int, balls: Sequence[BallTrack], camera: Camera) -> MeasuredC
     )
 
 
+def centre_clips(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]:
+    """Move the middle of all positions to that of the picture."""
+    every = np.concatenate([clip.xy for clip in clips])
+    shift = find_centre(clips[0]) - (every.min(axis=0) + every.max(axis=0)) / 2
+    at = np.r_[shift, np.zeros(len(clips[0].launch) - 2)]
+    return [replace(clip, xy=clip.xy + shift, launch=clip.launch + at) for clip in clips]
+
+
+def find_centre(clip: MeasuredCollision) -> Array:
+    """Find the position (2,) in the middle of the picture, m."""
+    middle = np.array([[clip.camera.K[0, 2], clip.camera.K[1, 2]]])
+    return np.asarray(clip.camera.unproject(middle)[0][0])
+
+
 # --- Causes ---
 
 
@@ -232,16 +246,14 @@ class BallStart:
 
 def distort(clip: MeasuredCollision, k: float, sign: float) -> MeasuredCollision:
     """Distort positions about the middle of the picture, with the distance over that of the camera's focal length."""
-    middle = np.array([[clip.camera.K[0, 2], clip.camera.K[1, 2]]])
-    centre = clip.camera.unproject(middle)[0][0]
-    focus = clip.camera.K[0, 0] * clip.camera.scale
+    centre, focus = find_centre(clip), clip.camera.K[0, 0] * clip.camera.scale
     off = clip.xy - centre
     return replace(clip, xy=centre + off * (1 + sign * k * (off**2).sum(axis=1) / focus**2)[:, None])
 
 
 def stretch_axis(clip: MeasuredCollision, share: float) -> MeasuredCollision:
     """Lengthen x by a share of it, about the middle of the picture."""
-    centre = clip.camera.unproject(np.array([[clip.camera.K[0, 2], clip.camera.K[1, 2]]]))[0][0]
+    centre = find_centre(clip)
     return replace(clip, xy=centre + (clip.xy - centre) * [1 + share, 1.0])
 
 
@@ -291,8 +303,12 @@ class CausedSet:
 
     @classmethod
     def of(cls, name: str, clips: Sequence[MeasuredCollision]) -> CausedSet:
-        """The set without a cause; its clips are numbered from zero, since a cause may be in every second one."""
-        clips = [replace(clip, clip=k) for k, clip in enumerate(clips)]
+        """The set without a cause; its clips are numbered from zero, since a cause may be in every second one.
+
+        The middle of all positions moves to that of the picture. The origin of a table in metres may be anywhere, and
+        a distortion about a point outside the recorded area is not that of a lens.
+        """
+        clips = centre_clips([replace(clip, clip=k) for k, clip in enumerate(clips)])
         law = next(law for laboratory, (_, law) in LABORATORIES.items() if name.startswith(laboratory))
         return cls(name, clips, as_model({"ball": {"diameter": clips[0].camera.ball_diameter}, "model": law}))
 

@@ -62,3 +62,17 @@ def test_every_second_clip_of_a_set_has_the_other_times():
     given = real_causes.CausedSet.of("3cushiontool-0", clips).clips
     slowed = [real_causes.slow_half(clip, 0.1).fps / clip.fps for clip in given]
     assert slowed == pytest.approx([1, 1 / 1.1, 1, 1 / 1.1])
+
+
+def test_a_set_lies_in_the_middle_of_its_picture():
+    """About the origin of a table in metres a distortion would lengthen all positions, and bend none."""
+    clips = [blank(number, np.array([0.0, 0.0, 0.1, 0.5, 0.0, 0.0]), np.zeros(2)) for number in (0, 1)]
+    rng = np.random.default_rng(1)
+    clips = [replace(clip, xy=rng.uniform((2.0, 3.0), (2.2, 3.1), clip.xy.shape)) for clip in clips]
+    given = real_causes.CausedSet.of("3cushiontool-0", clips).clips
+    every = np.concatenate([clip.xy for clip in given])
+    assert (every.min(axis=0) + every.max(axis=0)) / 2 == pytest.approx(real_causes.find_centre(clips[0]), abs=1e-12)
+    for before, after in zip(clips, given, strict=True):
+        assert np.ptp(after.xy - before.xy, axis=0) == pytest.approx(0, abs=1e-12)
+        assert after.launch[:2] - before.launch[:2] == pytest.approx(after.xy[0] - before.xy[0])
+        assert (after.launch[2:] == before.launch[2:]).all()
