@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,17 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """The balls of one frame, and the detections of a later one."""
+
+    before: PredictedBalls
+    free: PredictedBalls  # the same in the later frame, if nothing hits them
+    found: Floats  # (m, 2): positions in the later frame
+    frames: int  # from one to the other
+    noise: MotionNoise
+
+
 def link_frame(
     before: PredictedBalls,
     found: Floats,
@@ -40,77 +51,50 @@ def link_frame(
     own = np.full(len(found), -1, dtype=np.int64)
     if not len(before):
         return before, own
-    free = before.advance(frames, noise)
+    step = _Step(before, before.advance(frames, noise), found, frames, noise)
     pairs = find_near_balls(before, frames, noise)
-    if not len(pairs[0]) and (plain := _match_plainly(free, found, noise)) is not None:
+    if not len(pairs[0]) and (plain := _match_plainly(step)) is not None:
         own[plain] = before.number
-        links = np.arange(len(before)), plain, np.full(len(before), -1)
-        return _update(before, free, None, found, links, frames, frame, noise), own
-    hits = predict_hits(before, free, pairs, frames, noise)
-    near = _find_near(free, hits, found, frames, noise)
-    gain, kind = _weigh(before, free, hits, found, near, frames, noise)
+        return _update(step, None, (np.arange(len(before)), plain, np.full(len(before), -1)), frame), own
+    hits = predict_hits(before, step.free, pairs, frames, noise)
+    near = _find_near(step)
+    gain, kind = _weigh(step, hits, near)
     if coming is not None:
-        _confirm(before, found, near, gain, coming, frames, noise)
-    ball, column = _uncross(before, found, near, gain, _assign(gain, near, len(found)), noise)
+        _confirm(step, near, gain, *coming)
+    ball, column = _uncross(step, near, gain, *_assign(gain, near, len(found)))
     seen = near[ball, column]
     own[seen] = before.number[ball]
-    return _update(before, free, hits, found, (ball, seen, kind[ball, column]), frames, frame, noise), own
+    return _update(step, hits, (ball, seen, kind[ball, column]), frame), own
 
 
-def _match_plainly(free: PredictedBalls, found: Floats, noise: MotionNoise, *, max_sigma: float = 3.0) -> Ints | None:
-    """The detection (n,) of each ball where every ball and every detection has its own; None otherwise.
-
-    max_sigma: errors within which each ball must be found.
-    """
+def _match_plainly(step: _Step) -> Ints | None:
+    """The detection (n,) of each ball where every ball and every detection has its own; None otherwise."""
+    free, found, max_sigma = step.free, step.found, 3.0
     if len(free) != len(found) or len(free) > MAX_BALLS_FOR_ALL_PAIRS or (free.count < 2).any():
         return None
     off = ((free.xy[:, None] - found) ** 2).sum(axis=2)
     nearest = off.argmin(axis=1)
-    close = off[np.arange(len(free)), nearest] < max_sigma**2 * (free.cov[:, 0] + noise.position**2)
+    close = off[np.arange(len(free)), nearest] < max_sigma**2 * (free.cov[:, 0] + step.noise.position**2)
     return nearest if close.all() and len(set(nearest.tolist())) == len(free) else None
 
 
-def _find_near(
-    free: PredictedBalls,
-    hits: PredictedHits,
-    found: Floats,
-    frames: int,
-    noise: MotionNoise,
-    *,
-    max_detections: int = 8,
-) -> Ints:
-    """The detections (n, k) nearest to each ball, by number; m for none.
-
-    max_detections: of those nearest to a ball, which are compared with it.
-    """
-    m = len(found)
-    if m <= max_detections:
-        return np.tile(np.arange(m), (len(free), 1))
-    return np.asarray(
-        cKDTree(found).query(free.xy, k=max_detections, distance_upper_bound=_limit(free, noise, frames))[1]
-    )
-
-
-def _limit(free: PredictedBalls, noise: MotionNoise, frames: int) -> float:
-    """The greatest distance at which a detection can be that of a ball, px."""
+def _find_near(step: _Step) -> Ints:
+    """The detections (n, k) nearest to each ball, by number; m for none."""
+    free, found, most = step.free, step.found, 8
+    if len(found) <= most:
+        return np.tile(np.arange(len(found)), (len(free), 1))
     fastest = float(np.hypot(*free.v.T).max())
-    return max(noise.reach * frames, (0.6 * noise.diameter + 2.2 * fastest) * frames)
+    limit = max(step.noise.reach * step.frames, (0.6 * step.noise.diameter + 2.2 * fastest) * step.frames)  # px
+    return np.asarray(cKDTree(found).query(free.xy, k=most, distance_upper_bound=limit)[1])
 
 
-def _weigh(
-    before: PredictedBalls,
-    free: PredictedBalls,
-    hits: PredictedHits,
-    found: Floats,
-    near: Ints,
-    frames: int,
-    noise: MotionNoise,
-) -> tuple[Floats, Ints]:
+def _weigh(step: _Step, hits: PredictedHits, near: Ints) -> tuple[Floats, Ints]:
     """The log likelihood (n, k) of each detection as that of a ball over that of a false one, and how the ball came.
 
     How: -1 freely, -2 after a hit by something unseen, or the number of one of `hits`.
     """
-    there = np.append(found, [[np.inf, np.inf]], axis=0)[near]  # (n, k, 2)
+    before, free, frames, noise = step.before, step.free, step.frames, step.noise
+    there = np.append(step.found, [[np.inf, np.inf]], axis=0)[near]  # (n, k, 2)
     old = before.count > 1
     meets = np.ones(len(before))
     np.multiply.at(meets, hits.ball, 1 - hits.chance)
@@ -142,29 +126,16 @@ def _log_density(square: Floats, variance: Floats | float) -> Floats:
     return np.asarray(-np.log(2 * np.pi * var) - square / (2 * var))
 
 
-def _confirm(
-    before: PredictedBalls,
-    found: Floats,
-    near: Ints,
-    gain: Floats,
-    coming: tuple[Floats, int],
-    frames: int,
-    noise: MotionNoise,
-    *,
-    unconfirmed: float = 0.05,
-) -> None:
-    """Lower the gain of a first step that no detection of the next frame continues.
-
-    unconfirmed: probability that the next frame does not show a ball where its motion leads.
-    """
-    i, k = np.nonzero((before.count == 1)[:, None] & (gain > 0))
+def _confirm(step: _Step, near: Ints, gain: Floats, following: Floats, later: int) -> None:
+    """Lower the gain of a first step that none of the detections continues which follow some frames later."""
+    unconfirmed = 0.05  # probability that the next frame does not show a ball where its motion leads
+    i, k = np.nonzero((step.before.count == 1)[:, None] & (gain > 0))
     if not len(i):
         return
-    there = found[near[i, k]]
-    step = (there - before.xy[i]) / frames
-    following, later = coming
-    apart = cKDTree(following).query(there + step * later)[0] if len(following) else np.full(len(i), np.inf)
-    wide = 3 * noise.position + noise.acceleration + noise.bend * np.hypot(*step.T)
+    there = step.found[near[i, k]]
+    speed = (there - step.before.xy[i]) / step.frames
+    apart = cKDTree(following).query(there + speed * later)[0] if len(following) else np.full(len(i), np.inf)
+    wide = 3 * step.noise.position + step.noise.acceleration + step.noise.bend * np.hypot(*speed.T)
     gain[i, k] += np.log(unconfirmed + np.exp(-((apart / wide) ** 2) / 2))
 
 
@@ -194,33 +165,21 @@ def _assign(gain: Floats, near: Ints, found: int) -> tuple[Ints, Ints]:
     return pairs[:, 0], pairs[:, 1]
 
 
-def _uncross(
-    before: PredictedBalls,
-    found: Floats,
-    near: Ints,
-    gain: Floats,
-    links: tuple[Ints, Ints],
-    noise: MotionNoise,
-    *,
-    overlap: float = 0.8,
-) -> tuple[Ints, Ints]:
+def _uncross(step: _Step, near: Ints, gain: Floats, ball: Ints, column: Ints) -> tuple[Ints, Ints]:
     """The links, with those of two new balls exchanged that would pass through one another, and exchanged would not.
 
     A hit before the second frame hides the first step of both, so that likelihoods may prefer such an exchange. The
     right links of two balls that hit once never pass through one another. Both positions of one ball, seen from the
     other, lie beyond the tangent at the contact. If they pass through one another either way, a third body or a wall
-    was hit too, and the likelihood decides.
-
-    links: balls, and their columns of `near`. overlap: diameters to which balls may seem to come near one another.
+    was hit too, and the likelihood decides. Links are balls, and their columns of `near`.
     """
-    ball, column = links
-    new = np.flatnonzero(before.count[ball] == 1)
+    first, found, seen = step.before.xy, step.found, near[ball, column]
+    new = np.flatnonzero(step.before.count[ball] == 1)
     i, j = (new[side] for side in np.triu_indices(len(new), 1))
-    seen = near[ball, column]
-    start, end = before.xy[ball[j]] - before.xy[ball[i]], found[seen[j]] - found[seen[i]]
+    start, end = first[ball[j]] - first[ball[i]], found[seen[j]] - found[seen[i]]
     through, past = _find_least_distance(start, end), _find_least_distance(start, -end)
     column = column.copy()
-    least = overlap * noise.diameter
+    least = 0.8 * step.noise.diameter  # to which balls may seem to come near one another
     for k in np.flatnonzero((through < least) & (past >= least)).tolist():
         pair = [i[k], j[k]]
         if (near[ball[pair], column[pair]] != seen[pair]).any():
@@ -238,17 +197,9 @@ def _find_least_distance(start: Floats, end: Floats) -> Floats:
     return np.asarray(np.hypot(*(start + share[:, None] * way).T))
 
 
-def _update(
-    before: PredictedBalls,
-    free: PredictedBalls,
-    hits: PredictedHits | None,
-    found: Floats,
-    links: tuple[Ints, Ints, Ints],
-    frames: int,
-    frame: int,
-    noise: MotionNoise,
-) -> PredictedBalls:
+def _update(step: _Step, hits: PredictedHits | None, links: tuple[Ints, Ints, Ints], frame: int) -> PredictedBalls:
     """The balls with what was found of them; links: ball, detection, and how it came, as `_weigh` says."""
+    before, free, found, noise = step.before, step.free, step.found, step.noise
     ball, seen, kind = links
     xy, v, cov = free.xy.copy(), free.v.copy(), free.cov.copy()
     number, last, count = free.seen.copy(), free.last.copy(), free.count.copy()

@@ -63,14 +63,12 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     least = _least_contrast(noise)
     expected = camera.diameter_px / 2 if camera.knows_diameter else None
     smallest = max(MIN_BODY_AREA_PX, 0.25 * np.pi * expected**2) if expected else MIN_BODY_AREA_PX
-    if not any(_shows_large_region(np.asarray(frames[k]), level, least, smallest) for k in picks):
+    if not any(find_regions(cv2.absdiff(np.asarray(frames[k]), level) > math.floor(least), smallest) for k in picks):
         return _choose_for_glints([frames[k] for k in picks], level, least)
     level = estimate_still_background(frames, noise).level
     found = [find_round_bodies(np.asarray(frames[k]), level, least, expected)[:, 0] for k in picks]
     radii = np.concatenate(found)
-    if len(radii) == 0:
-        return GLINTS, ""
-    usual = float(np.median(radii))
+    usual = float(np.median(radii)) if len(radii) else 0.0
     having = sum(bool(_of_common_size(r, usual).any()) for r in found)
     if having < max(0.2 * len(picks), 3):
         return GLINTS, ""
@@ -98,22 +96,19 @@ def _choose_for_glints(sample: Sequence[Any], level: NDArray[Any], least: float)
     )
 
 
-def choose_channel(
-    frames: Frames, camera: Camera, *, longest_side_px: int = 960, min_score: float = 3.0, more_bodies: float = 1.3
-) -> tuple[str, str]:
+def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     """Choose the plane of a film in colour in which it shows its balls best, from 15 frames spread over it.
 
     A red ball on green cloth may be as grey as the cloth, and a moving shadow may hide a ball in grey. Each plane has a
     score: the number of round bodies of one size, times the share of the changed pixels that they cover. Shadows, hands
     and cues cover the rest. Grey is kept unless another plane has 1.5 times its score, or 1.2 times where bodies cover
     less than half of what changes in grey. That may still hide a ball. A plane in which shadows hardly show replaces it
-    if it has `more_bodies` times as many bodies, less the changes of their number. If the camera knows the diameter of
-    its balls, only bodies of about that size count. The second result is a note with the reason; '' for grey.
-
-    longest_side_px: of the pictures that are compared.
-    min_score: least bodies in the 15 frames that another channel than grey must show.
-    more_bodies: at 1.3 or more, grey hides at least one of four balls.
+    if it has 1.3 times as many bodies, less the changes of their number. If the camera knows the diameter of its balls,
+    only bodies of about that size count. The second result is a note with the reason; '' for grey.
     """
+    longest_side_px = 960  # of the pictures that are compared
+    min_score = 3.0  # least bodies in the 15 frames that another channel than grey must show
+    more_bodies = 1.3  # at 1.3 or more, grey hides at least one of four balls
     if frames.colours is None:
         return GREY, ""
     picks = sorted({*spread_frames(frames, 15)})
@@ -157,11 +152,9 @@ class _Rating:
         return f"{self.bodies} round bodies ({100 * self.share:.0f} % of what changes)"
 
 
-def _rate_plane(pictures: list[NDArray[Any]], expected: float | None, *, max_threshold_counts: int = 120) -> _Rating:
-    """Rate a plane by its pictures, at the threshold that suits it best: 1, 2, 4 or 8 times the least contrast.
-
-    max_threshold_counts: balls of more contrast show at a lower threshold too.
-    """
+def _rate_plane(pictures: list[NDArray[Any]], expected: float | None) -> _Rating:
+    """Rate a plane by its pictures, at the threshold that suits it best: 1, 2, 4 or 8 times the least contrast."""
+    max_threshold_counts = 120  # balls of more contrast show at a lower threshold too
     noise = estimate_pixel_noise(pictures)
     ground = estimate_still_background(pictures, noise)
     level, best = ground.level.astype(np.float32), _Rating(0, 0.0)
@@ -225,27 +218,19 @@ def select_channel(clip: Recording, name: str | None) -> tuple[Recording, str]:
     """
     if name is not None:
         return clip.select_channel(name), ""
-    if clip.balls:
-        best, why = choose_channel_by_examples(clip)
-        return clip.select_channel(best), why
-    best, why = choose_channel(sample_frames(clip), clip.camera)
+    best, why = choose_channel_by_examples(clip) if clip.balls else choose_channel(sample_frames(clip), clip.camera)
     return clip.select_channel(best), why
 
 
 def find_radius(clip: Recording) -> float | None:
     """Choose the radius, px, of balls that the user points at: the median of those given or seen; None without one."""
-    radii = [ball.radius or measure_radius(clip.frames[_row(clip, ball)], ball) for ball in clip.balls]
-    known = [radius for radius in radii if radius is not None]
-    return float(np.median(known)) if known else None
-
-
-def measure_radius(picture: NDArray[Any], ball: BallExample) -> float | None:
-    """Measure the radius, px, of a ball that the user points at, where its light has changed by half, or None."""
-    profile = _profile(picture, ball)
-    change = np.abs(profile - profile[0])
-    if change.max() <= 0:
-        return None
-    return float(np.argmax(change > change.max() / 2)) + CORE_PX
+    radii = [ball.radius for ball in clip.balls if ball.radius]
+    for ball in (ball for ball in clip.balls if not ball.radius):
+        profile = _profile(clip.frames[_row(clip, ball)], ball)
+        change = np.abs(profile - profile[0])
+        if change.max() > 0:  # it ends where its light has changed by half
+            radii.append(float(np.argmax(change > change.max() / 2)) + CORE_PX)
+    return float(np.median(radii)) if radii else None
 
 
 def choose_channel_by_examples(clip: Recording) -> tuple[str, str]:
@@ -327,29 +312,14 @@ def _of_common_size(radii: Array, usual: float) -> NDArray[np.bool_]:
     return np.asarray(np.abs(radii - usual) < 0.25 * usual)
 
 
-def _shows_large_region(frame: NDArray[Any], level: NDArray[Any], least: float, smallest: float) -> bool:
-    """True if a region larger than a glint differs from the plate."""
-    return bool(find_regions(cv2.absdiff(frame, level) > math.floor(least), smallest))
-
-
-def find_round_bodies(
-    frame: NDArray[Any],
-    level: NDArray[Any],
-    least: float,
-    expected: float | None,
-    *,
-    max_regions: int = 40,
-    min_radius_px: float = 4.0,
-    size_limits: tuple[float, float] = (0.8, 1.25),
-) -> Array:
+def find_round_bodies(frame: NDArray[Any], level: NDArray[Any], least: float, expected: float | None) -> Array:
     """Find round bodies in one frame, to choose a detector: radius, x and y (n, 3), px; they differ by `least` counts.
 
     `expected` is the radius of the balls, px, where the camera file gives it.
-
-    max_regions: the largest regions that are examined.
-    min_radius_px: the least radius where none is expected; a clipped glint looks like a small disc.
-    size_limits: of the radius over the expected one; a glint out of focus is smaller than its ball.
     """
+    max_regions = 40  # the largest ones are examined
+    low, high = 0.8, 1.25  # of the radius over the expected one; a glint out of focus is smaller than its ball
+    min_radius_px = 4.0  # where none is expected; a clipped glint looks like a small disc
     rounding = 0.5  # counts, of the level
     rough = cv2.absdiff(frame, np.rint(level).astype(frame.dtype)) > math.floor(least - rounding)
     found = []
@@ -359,17 +329,14 @@ def find_round_bodies(
         whole = np.subtract(frame[region.at], level[region.at], dtype=np.float32)
         for own in _separate_discs(region.own):
             radius, x, y = _measure_body(whole, own, least)
-            low, high = size_limits
             if radius > min_radius_px if expected is None else low < radius / expected < high:
                 found.append((radius, region.left + x, region.top + y))
     return np.array(found).reshape(-1, 3)
 
 
-def _separate_discs(own: NDArray[np.bool_], *, min_roundness: float = 0.6) -> list[NDArray[np.bool_]]:
-    """The pixels of the discs in a region (h, w): several that touch, itself if it is round, or none.
-
-    min_roundness: least area of a round region over that of the circle around it.
-    """
+def _separate_discs(own: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
+    """The pixels of the discs in a region (h, w): several that touch, itself if it is round, or none."""
+    min_roundness = 0.6  # area of a round region over that of the circle around it
     radius, centres = find_touching_discs(own)
     if not centres:
         return [own] if own.sum() >= min_roundness * np.pi / 4 * max(own.shape) ** 2 else []
@@ -377,20 +344,10 @@ def _separate_discs(own: NDArray[np.bool_], *, min_roundness: float = 0.6) -> li
     return [own & (np.hypot(x - column, y - row) <= radius) for column, row in centres]
 
 
-def _measure_body(
-    whole: NDArray[np.float32],
-    own: NDArray[np.bool_],
-    least: float,
-    *,
-    max_glint_ratio: float = 4.0,
-    min_steepness: float = 0.4,
-) -> tuple[float, float, float]:
-    """Radius and middle (x, y), px, of a body from differences from the background (h, w); radius 0 of a glint.
-
-    max_glint_ratio: contrast of the brightest spot over that of the body halfway out; of steel only the glint is
-    bright.
-    min_steepness: pixels over 4/5 of the contrast among those over 1/5; discs have edges, glints fade.
-    """
+def _measure_body(whole: NDArray[np.float32], own: NDArray[np.bool_], least: float) -> tuple[float, float, float]:
+    """Radius and middle (x, y), px, of a body from differences from the background (h, w); radius 0 of a glint."""
+    max_glint_ratio = 4.0  # contrast of the brightest spot over that halfway out; of steel only the glint is bright
+    min_steepness = 0.4  # pixels over 4/5 of the contrast among those over 1/5; discs have edges, glints fade
     area, (rows, columns) = int(own.sum()), np.nonzero(own)
     y, x = np.ogrid[: own.shape[0], : own.shape[1]]
     away = np.hypot(x - columns.mean(), y - rows.mean()) / np.sqrt(area / np.pi)

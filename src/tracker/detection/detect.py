@@ -50,13 +50,9 @@ DEFAULT = "maximum_likelihood"
 
 def list_detectors() -> dict[str, DetectorClass]:
     """Every detector by name: the files of ``detectors/`` and the entry points of group ``tracker.detectors``."""
-    found: dict[str, DetectorClass] = {}
-    for module in pkgutil.iter_modules(detector_files.__path__):
-        found[module.name] = _load_file(module.name)
-    group = "tracker.detectors"
-    for point in entry_points(group=group):
-        found.setdefault(point.name, point.load())
-    return found
+    own = {module.name: _load_file(module.name) for module in pkgutil.iter_modules(detector_files.__path__)}
+    others = [point for point in entry_points(group="tracker.detectors") if point.name not in own]
+    return own | {point.name: point.load() for point in others}
 
 
 def _load_file(name: str) -> DetectorClass:
@@ -196,31 +192,29 @@ def _is_shared(detector: AnyDetector) -> TypeGuard[SharedDetector]:
 def run_detector(detector: AnyDetector, frames: Iterable[tuple[int, NDArray[Any]]], name: str) -> Detections:
     """As `detect`, with a detector that is already made, for any numbered frames."""
     if isinstance(detector, ClipDetector):
-        try:
-            found = detector.detect(frames)
-        except (InputError, MemoryError):
-            raise
-        except Exception as error:
-            if _is_own(detector):
-                raise
-            raise InputError(f"detector {name}: {describe_fault(error)}") from error
+        found = _call(detector, detector.detect, frames, f"detector {name}")
         if not isinstance(found, Detections):
             raise InputError(f"detector {name}: returned {type(found).__name__}, expected Detections")
         _check_glints(found.glints, f"detector {name}")
         return found
     parts = [Glints.none()]
     for number, frame in frames:
-        try:
-            given = detector(frame)
-        except (InputError, MemoryError):
-            raise
-        except Exception as error:
-            if _is_own(detector):
-                raise
-            raise InputError(f"detector {name}, frame {number}: {describe_fault(error)}") from error
-        glints = _check_glints(given, f"detector {name}, frame {number}")
+        source = f"detector {name}, frame {number}"
+        glints = _check_glints(_call(detector, detector, frame, source), source)
         parts.append(replace(glints, frame=np.full(len(glints), number, dtype=np.int64)))
     return Detections(Glints.join(parts))
+
+
+def _call(detector: AnyDetector, method: Callable[[Any], Any], given: Any, source: str) -> Any:
+    """The result of a detector's method; an error in a user's own detector becomes one line."""
+    try:
+        return method(given)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        if _is_own(detector):
+            raise
+        raise InputError(f"{source}: {describe_fault(error)}") from error
 
 
 def detect_until_blur_converges(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> tuple[Detections, View]:

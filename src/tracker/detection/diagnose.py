@@ -86,17 +86,15 @@ def explain_no_discs(frames: Sequence[Any], view: View) -> str:
     return "nothing round moves on a still background"
 
 
-def measure_camera_motion(
-    pictures: Sequence[NDArray[Any]], *, min_features: int = 20, min_share: float = 0.5, min_spread: float = 0.12
-) -> float:
+def measure_camera_motion(pictures: Sequence[NDArray[Any]]) -> float:
     """Measure the largest motion of the background from the first of these pictures, px; 0 where none is seen.
 
     Features of each picture are followed into the next one. Most of them must agree on one shift, turn and change of
     size. They must also be spread over the picture, because balls, hands and shadows move too.
-
-    min_share: of the features that are followed, which must agree within 1 px.
-    min_spread: of the picture's width and height, over which four fifths of those must be spread.
     """
+    min_features = 20
+    min_share = 0.5  # of the features that are followed, which must agree within 1 px
+    min_spread = 0.12  # of the picture's width and height, over which four fifths of those must be spread
     shown = [_to_bytes(picture) for picture in pictures]
     height, width = shown[0].shape
     first: Any = None
@@ -129,8 +127,9 @@ def _to_bytes(picture: NDArray[Any]) -> NDArray[np.uint8]:
     return np.asarray((np.asarray(picture, np.float32) - low) * (255.0 / max(high - low, 1.0))).astype(np.uint8)
 
 
-def warn_of_moving_camera(frames: Sequence[Any], *, min_motion_px: float = 3.0) -> tuple[str, ...]:
-    """Warn where the background moves by `min_motion_px` or more between frames spread over a film."""
+def warn_of_moving_camera(frames: Sequence[Any]) -> tuple[str, ...]:
+    """Warn where the background moves by 3 px or more between frames spread over a film."""
+    min_motion_px = 3.0
     shift = measure_camera_motion([np.asarray(frames[k]) for k in spread_frames(frames, 25)])
     return (f"the camera moves, by up to {shift:.0f} px: {STILL_CAMERA}",) if shift >= min_motion_px else ()
 
@@ -204,23 +203,20 @@ def count_loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tupl
     return replace(found, resumed=_count_resumed(tracks, rows, loose, rim_px)) if found.are_most else found
 
 
-def follow_bodies(
-    tracks: Tracks, size: tuple[int, int], *, min_positions: int = 10, min_share: float = 0.5, min_straight: float = 0.2
-) -> bool:
+def follow_bodies(tracks: Tracks, size: tuple[int, int]) -> bool:
     """Decide whether tracks of outlines follow moving bodies, rather than what changes in one place.
 
-    min_positions: of a track, which must lead from its first to its last over `RIM_SHARE` of the picture's longer side.
-    min_share: of all positions, in such tracks.
-    min_straight: the distance from the first to the last position over the length of the path between them, which
-    noise makes longer.
+    Half of all positions must be in tracks that lead over `RIM_SHARE` of the picture's longer side.
     """
+    min_positions = 10  # of such a track
+    min_straight = 0.2  # distance of its ends over the length of the path between them, which noise makes longer
     followed = 0
     for particle in np.unique(tracks.particle):
         own = np.flatnonzero(tracks.particle == particle)
         xy = tracks.xy[own[np.argsort(tracks.frame[own], kind="stable")]]
         net, path = np.hypot(*(xy[-1] - xy[0])), np.hypot(*np.diff(xy, axis=0).T).sum()
         followed += len(own) * (len(own) >= min_positions and net >= max(RIM_SHARE * max(size), min_straight * path))
-    return len(tracks) > 0 and bool(followed >= min_share * len(tracks))
+    return len(tracks) > 0 and bool(followed >= 0.5 * len(tracks))
 
 
 def _count_resumed(tracks: Tracks, rows: list[NDArray[np.intp]], loose: NDArray[np.bool_], reach: float) -> int:

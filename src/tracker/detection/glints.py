@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from enum import IntFlag
 from typing import Any, Self
@@ -134,10 +134,7 @@ class Glints(RowArrays):
         return Glints(np.zeros(n, np.int64), columns[0], columns[1], cov, columns[3], np.zeros(n), flags)
 
 
-def describe_flags(flags: NDArray[np.int64], always: Sequence[str] = ()) -> NDArray[np.str_]:
-    """Flags (n,) as words joined by '|', each after the words of `always`; '' where there is none."""
-    table = {
-        value: "|".join([*always, *(flag.word for flag in PositionFlag if value & flag)])
-        for value in np.unique(flags).tolist()
-    }
+def describe_flags(flags: NDArray[np.int64]) -> NDArray[np.str_]:
+    """Flags (n,) as words joined by '|'; '' where there is none."""
+    table = {value: "|".join(flag.word for flag in PositionFlag(value)) for value in np.unique(flags).tolist()}
     return np.array([table[v] for v in flags.tolist()], dtype=np.str_)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
 from tracker.detection.assignment import link_frame
-from tracker.detection.glints import Glints, describe_flags
+from tracker.detection.glints import Glints, RowArrays, describe_flags
 from tracker.detection.motion_filter import MotionNoise, PredictedBalls
 from tracker.settings import LinkSettings
 
@@ -23,7 +23,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Tracks:
+class Tracks(RowArrays):
     """Balls tracked through one clip: arrays sorted by particle, then frame.
 
     Attributes
@@ -63,9 +63,6 @@ class Tracks:
         if len(self.time) == 0:
             object.__setattr__(self, "time", np.full(len(self.frame), np.nan))
 
-    def __len__(self) -> int:
-        return len(self.frame)
-
     @property
     def xy(self) -> Array:
         """Positions (n, 2), px."""
@@ -82,19 +79,9 @@ def link_into_tracks(
 ) -> Tracks:
     """Join the detections of a clip into tracks of ball centres, without those that belong to no track.
 
-    Parameters
-    ----------
-    glints : Glints
-        Of all frames.
-    camera : Camera
-        Where it knows the lamp, the positions of glints are converted to the centres of balls.
-    point : {"glint", "centre"}
-        What the positions are; for centres of outlines the flux is the area, px^2.
-    takes : sequence of (int, int)
-        First and last frames of takes. No track leads from one to the next.
-    linker : callable, optional
-        Another program in place of `assign_track_numbers`: glints -> particles.
-    settings : LinkSettings, optional
+    point: what the positions are, "glint" or "centre" of an outline, whose flux is the area, px^2.
+    takes: first and last frames of takes; no track leads from one to the next.
+    linker: another program in place of `assign_track_numbers`, which gives the particles of glints.
     """
     settings = settings or LinkSettings()
     diameter = 2 * float(np.sqrt(np.median(glints.flux) / np.pi)) if point == "centre" and len(glints) else None
@@ -111,24 +98,9 @@ def link_into_tracks(
     kept = np.flatnonzero(ids >= 0)
     order = kept[np.lexsort((glints.frame[kept], ids[kept]))]
     chosen, particle = glints.take(order), ids[order]
-    seen = chosen.xy
-    if point == "centre":
-        centre, jacobian, words = seen, np.broadcast_to(np.eye(2), chosen.cov.shape), describe_flags(chosen.flags)
-    else:
-        centre, jacobian = camera.centre_of_glint(seen)
-        words = describe_flags(chosen.flags, () if camera.corrects_glint else ("glint",))
-    return Tracks(
-        frame=chosen.frame,
-        particle=particle,
-        x=centre[:, 0].copy(),
-        y=centre[:, 1].copy(),
-        cov=jacobian @ chosen.cov @ jacobian.transpose(0, 2, 1),
-        flux=chosen.flux,
-        flags=words,
-        glint_x=seen[:, 0].copy(),
-        glint_y=seen[:, 1].copy(),
-        fixed=jacobian @ chosen.fixed @ jacobian.transpose(0, 2, 1),
-    )
+    x, y, flags = chosen.x, chosen.y, describe_flags(chosen.flags)
+    tracks = Tracks(chosen.frame, particle, x, y, chosen.cov, chosen.flux, flags, x, y, chosen.fixed)
+    return tracks if point == "centre" else to_centres(tracks, camera)
 
 
 def assign_track_numbers(
@@ -143,7 +115,7 @@ def assign_track_numbers(
     ids = np.full(len(glints), -1, dtype=np.int64)
     if len(glints) == 0:
         return ids
-    tracks = _follow(glints, camera, diameter or camera.diameter_px, diameter is not None, settings)
+    tracks = _follow(glints, _expect_motion(glints, camera, diameter, settings), settings.max_gap_frames)
     least = settings.min_track_frames if diameter else 1
     for number, rows in enumerate(_keep_ball_tracks(tracks, glints, camera, least, settings)):
         ids[rows] = number
@@ -175,9 +147,8 @@ def estimate_velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
     return out
 
 
-def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool, settings: LinkSettings) -> list[Ints]:
+def _follow(glints: Glints, noise: MotionNoise, max_gap_frames: int) -> list[Ints]:
     """The rows of each track, those of false detections included."""
-    noise = _expect_motion(glints, camera, diameter, seen_whole, settings)
     order = np.argsort(glints.frame, kind="stable")
     frames, starts = np.unique(glints.frame[order], return_index=True)
     parts, xy = np.split(order, starts[1:]), glints.xy
@@ -186,7 +157,7 @@ def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool, s
     track[parts[0]] = np.arange(first)
     live, count = PredictedBalls.start(np.arange(first), int(frames[0]), xy[parts[0]], noise), first
     for k, (frame, rows) in enumerate(zip(frames[1:].tolist(), parts[1:], strict=True), 1):
-        recent = frame - live.seen <= settings.max_gap_frames + 1
+        recent = frame - live.seen <= max_gap_frames + 1
         live = live if recent.all() else live.take(recent)
         follows = k + 1 < len(frames)
         coming = (xy[parts[k + 1]], int(frames[k + 1]) - frame) if follows else None
@@ -194,58 +165,40 @@ def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool, s
         new = np.flatnonzero(own < 0)
         if len(new):
             own[new] = count + np.arange(len(new))
-            live = live.join(PredictedBalls.start(own[new], frame, xy[rows[new]], noise))
+            live = PredictedBalls.join([live, PredictedBalls.start(own[new], frame, xy[rows[new]], noise)])
         track[rows], count = own, count + len(new)
     ordered = np.lexsort((glints.frame, track))
     return np.split(ordered, np.flatnonzero(np.diff(track[ordered])) + 1)
 
 
-def _expect_motion(
-    glints: Glints,
-    camera: Camera,
-    diameter: float,
-    seen_whole: bool,
-    settings: LinkSettings,
-    *,
-    max_acceleration_m_s2: float = 3.5,
-    min_error_px: float = 0.05,
-) -> MotionNoise:
-    """The expected motion of balls in this film.
-
-    max_acceleration_m_s2: of a ball that slides.
-
-    min_error_px: of a position, and of its prediction.
-    """
+def _expect_motion(glints: Glints, camera: Camera, seen_whole: float | None, settings: LinkSettings) -> MotionNoise:
+    """The expected motion of balls in this film; seen_whole: their diameter, px, where they are seen whole."""
+    max_acceleration_m_s2 = 3.5  # of a ball that slides
+    min_error_px = 0.05  # of a position, and of its prediction
+    diameter = seen_whole or camera.diameter_px
     reach = settings.max_speed_m_s / camera.fps / camera.scale if camera.metric else settings.max_step_px
     errors = np.sqrt(np.trace(glints.cov, axis1=1, axis2=2) / 2)
     error = float(np.median(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else 0.0
     push = max_acceleration_m_s2 / camera.fps**2 / camera.scale if camera.metric else 0.0
     return MotionNoise(
         diameter=diameter,
-        reach=max(reach, (settings.max_step_diameters if seen_whole else 2.0) * diameter),
+        reach=max(reach, (2.0 if seen_whole is None else settings.max_step_diameters) * diameter),
         position=max(error, min_error_px),
         acceleration=max(push, min_error_px),
-        tolerance=1.0 if seen_whole else settings.speed_tolerance,
+        tolerance=settings.speed_tolerance if seen_whole is None else 1.0,
         restitution=settings.restitution,
         false_density=1.0 / float(np.prod(camera.size)),
     )
 
 
 def _keep_ball_tracks(
-    tracks: list[Ints],
-    glints: Glints,
-    camera: Camera,
-    min_frames: int,
-    settings: LinkSettings,
-    *,
-    edge_px: float = 40.0,
+    tracks: list[Ints], glints: Glints, camera: Camera, min_frames: int, settings: LinkSettings
 ) -> list[Ints]:
     """Tracks that are balls: not much fainter than the others, and not a blip of a frame or two.
 
     A ball may be seen that briefly where it enters or leaves the picture, and where the film begins or ends.
-
-    edge_px: distance from the edge within which a ball may be seen so briefly.
     """
+    edge_px = 40.0  # distance from the edge within which a ball may be seen so briefly
     length = np.array([len(rows) for rows in tracks])
     flux = np.array([np.median(glints.flux[rows]) for rows in tracks])
     long = length >= settings.min_track_frames

@@ -12,13 +12,15 @@ The likelihood of a detection is the sum over these. It is compared with that of
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
+
+from tracker.detection.glints import RowArrays
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -46,7 +48,7 @@ class MotionNoise:
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedBalls:
+class PredictedBalls(RowArrays):
     """The state of n balls in a frame: px and px per frame; the covariance is the same along both axes."""
 
     number: Ints  # (n,) of the track
@@ -56,18 +58,6 @@ class PredictedBalls:
     xy: Floats  # (n, 2)
     v: Floats  # (n, 2)
     cov: Floats  # (n, 3): of the position, of both, of the velocity
-
-    def __len__(self) -> int:
-        return len(self.number)
-
-    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> PredictedBalls:
-        """Some of the balls."""
-        return PredictedBalls(**{name: value[rows] for name, value in vars(self).items()})
-
-    def join(self, other: PredictedBalls) -> PredictedBalls:
-        """The balls of both."""
-        pairs = ((f.name, getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
-        return PredictedBalls(**{name: np.concatenate([one, two]) for name, one, two in pairs})
 
     @classmethod
     def start(cls, number: Ints, frame: int, xy: Floats, noise: MotionNoise) -> PredictedBalls:

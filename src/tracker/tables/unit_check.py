@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -209,14 +209,10 @@ def _measure_contact(pairs: Sequence[tuple[Tracks, CommonFrames]]) -> TouchingDi
     return TouchingDistance(median, math.hypot(errors, scatter / median) / math.sqrt(len(found)))
 
 
-def _touch(
-    tracks: Tracks, pair: CommonFrames, *, step_px: float = 2.0, least_std: float = 0.02
-) -> list[TouchingDistance]:
-    """Find the contacts of two balls, with errors from the scatter of their positions.
-
-    step_px: lengths are scaled so that the faster ball moves as far in a frame, as `contact_distances` expects.
-    least_std: the least error of a position, for tables without noise.
-    """
+def _touch(tracks: Tracks, pair: CommonFrames) -> list[TouchingDistance]:
+    """Find the contacts of two balls, with errors from the scatter of their positions."""
+    step_px = 2.0  # lengths are scaled so that the faster ball moves as far in a frame, as `contact_distances` expects
+    least_std = 0.02  # of a position, for tables without noise
     particles, one, two, frame = pair
     steps = np.concatenate([np.hypot(*np.diff(xy, axis=0).T) / np.diff(frame) for xy in (one, two)])
     fast = float(np.percentile(steps, 95)) if len(steps) else 0.0
@@ -225,8 +221,7 @@ def _touch(
     factor = step_px / fast
     bends = np.concatenate([np.diff(factor * xy, 3, axis=0) for xy in (one, two)])
     std = max(1.4826 * float(np.median(np.abs(bends))) / math.sqrt(20.0), least_std) if len(bends) else least_std
-    rows = np.flatnonzero(np.isin(tracks.particle, particles))
-    taken = replace(tracks, **{f.name: getattr(tracks, f.name)[rows] for f in fields(tracks)})
+    taken = tracks.take(np.isin(tracks.particle, particles))
     cov = np.broadcast_to(std**2 * np.eye(2), taken.cov.shape)
     scaled = replace(taken, x=factor * taken.x, y=factor * taken.y, cov=cov, fixed=np.zeros_like(taken.cov))
     # two balls whose numbers are exchanged seem to pass through each other

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeAlias
 
@@ -53,6 +53,23 @@ class _Tally:
         """Count one more frame of the survey, and report it as progress."""
         self.surveyed += 1
         report_step("frames", self.surveyed, self.to_survey)
+
+
+@dataclass(frozen=True, eq=False)
+class _SeenFrame:
+    """A frame with the brightness of its background, and the background."""
+
+    light: NDArray[Any]
+    ground: StillBackground
+
+    @staticmethod
+    def of(frame: NDArray[Any], ground: StillBackground) -> _SeenFrame:
+        change = _measure_change(frame, ground.level)
+        return _SeenFrame(frame.astype(np.float32) - np.float32(change) if change else frame, ground)
+
+    def difference(self, at: Index) -> NDArray[np.float32]:
+        """How far a part of the frame differs from the background, counts."""
+        return np.asarray(np.subtract(self.light[at], self.ground.level[at], dtype=np.float32))
 
 
 class Discs:
@@ -132,9 +149,9 @@ class Discs:
         tally = _Tally()
         if number not in self.scene_of:
             return Glints.none(), tally
-        ground = self.scenes[self.scene_of[number]]
-        found = self._in_frame(frame, ground, tally)
-        moves = np.array([self._was_seen_empty(ground, at) for at in found.xy], dtype=bool)
+        seen = _SeenFrame.of(frame, self.scenes[self.scene_of[number]])
+        found = self._in_frame(seen, tally)
+        moves = np.array([self._was_seen_empty(seen.ground, at) for at in found.xy], dtype=bool)
         if (~moves).sum() > MAX_ALWAYS_THERE:
             found = found.take(moves)
             tally.refused += int((~moves).sum())
@@ -159,7 +176,7 @@ class Discs:
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Discs of one frame of the first scene."""
-        return self._in_frame(frame, self.scenes[self.takes.scenes[0]], _Tally())
+        return self._in_frame(_SeenFrame.of(frame, self.scenes[self.takes.scenes[0]]), _Tally())
 
     def _measure_radius(self, radii: Array) -> OutlineRadius | None:
         """The radius of discs of the most common size; None of shaded balls, whose dark side does not show."""
@@ -169,12 +186,9 @@ class Discs:
         spread = 1.4826 * float(np.median(np.abs(radii - np.median(radii))))  # of a normal distribution
         return OutlineRadius(float(np.median(radii)), spread / float(np.sqrt(len(radii))))
 
-    def _notes(self, refused: dict[int, int], found: int, tally: _Tally, *, min_crowd: float = 3.0) -> Iterator[str]:
-        """Notes for the user on the frames that were searched.
-
-        refused: objects that are not balls, by frame; found: positions of balls; tally: of all frames.
-        min_crowd: area of what is refused, over that of the balls found, from which on a note reports a crowd.
-        """
+    def _notes(self, refused: dict[int, int], found: int, tally: _Tally) -> Iterator[str]:
+        """Notes on the frames that were searched: objects refused by frame, positions found, tally of all frames."""
+        min_crowd = 3.0  # area of what is refused, over that of the balls found, from which on a note reports a crowd
         yield from self.takes.describe()
         if refused:
             yield (
@@ -242,11 +256,11 @@ class Discs:
         for frame in sample:
             tally.note_surveyed()
             changes.append(_measure_change(frame, ground.level))
-            light = _match_brightness(frame, ground.level)
-            parts = self._split(self._find_areas(light, ground, tally))
-            differs = self._smooth_difference(light, ground) > self.low
+            seen = _SeenFrame.of(frame, ground)
+            parts = self._split(self._find_areas(seen, tally))
+            differs = self._smooth_difference(seen) > self.low
             mask = (differs & ground.known).view(np.uint8)  # elsewhere a difference may be the plate's
-            for x, y in self._fit_parts(light, ground, parts, tally).xy:
+            for x, y in self._fit_parts(seen, parts, tally).xy:
                 cv2.circle(mask, (round(x), round(y)), round(self.radius), 1, -1)
             balls = [part for part in parts if part.sign > 0 and self._is_disc(part, self.radius)]
             for part in parts:
@@ -256,14 +270,11 @@ class Discs:
             covered.append(np.packbits(np.asarray(near, np.uint8), axis=1))
         return average_uncovered(sample, covered, self.noise, changes)
 
-    def _in_frame(self, frame: NDArray[Any], ground: StillBackground, tally: _Tally) -> Glints:
+    def _in_frame(self, seen: _SeenFrame, tally: _Tally) -> Glints:
         """Discs of one frame; the tally counts what it shows besides."""
-        light = _match_brightness(frame, ground.level)
-        return self._fit_parts(light, ground, self._split(self._find_areas(light, ground, tally)), tally)
+        return self._fit_parts(seen, self._split(self._find_areas(seen, tally)), tally)
 
-    def _fit_parts(
-        self, light: NDArray[Any], ground: StillBackground, parts: list[ContrastRegion], tally: _Tally
-    ) -> Glints:
+    def _fit_parts(self, seen: _SeenFrame, parts: list[ContrastRegion], tally: _Tally) -> Glints:
         """The same, of the parts of its regions."""
         fits, balls = list[tuple[DiscFit, int, float]](), list[ContrastRegion]()
         for part in sorted(parts, key=lambda p: -p.sign):
@@ -276,48 +287,43 @@ class Discs:
                 tally.shadows += 1
                 continue
             dark = part.sign < 0 and not self.dark_balls
-            fitted = [] if dark else self._in_part(light, ground, part, radius)
+            fitted = [] if dark else self._in_part(seen, part, radius)
             tally.radii += [f.radius for f, flag in fitted if flag == 0]
             tally.refused += not fitted and part.area > 0.5 * np.pi * radius**2
             tally.refused_area += 0.0 if fitted else part.area / (np.pi * radius**2)
             fits += [(f, flag, radius) for f, flag in fitted]
-        return self._glints(fits, light.shape) if fits else Glints.none()
+        return self._glints(fits, seen.light.shape) if fits else Glints.none()
 
-    def _find_areas(self, light: NDArray[Any], ground: StillBackground, tally: _Tally) -> list[ContrastArea]:
+    def _find_areas(self, seen: _SeenFrame, tally: _Tally) -> list[ContrastArea]:
         """The regions of a frame that differ from the background, largest first, with their differences."""
         least, reach = np.pi * self.settings.min_disc_radius_px**2, max(self.box) // 2
         rounding = 1.0  # counts, of both means
-        away = self._smooth_difference(light, ground)
 
         def examine(at: Index) -> NDArray[np.bool_]:
             top, left = (max(side.start - reach, 0) for side in at)
             wide = slice(top, at[0].stop + reach), slice(left, at[1].stop + reach)
-            mean = cv2.blur(np.subtract(light[wide], ground.level[wide], dtype=np.float32), self.box)
+            mean = cv2.blur(seen.difference(wide), self.box)
             inner = mean[at[0].start - top : at[0].stop - top, at[1].start - left : at[1].stop - left]
             return np.asarray(np.abs(inner) > self.low)
 
-        rough = away > math.floor(self.low - rounding)
+        rough = self._smooth_difference(seen) > math.floor(self.low - rounding)
         if self.view.area is not None:
             rough &= self.view.area
-        regions = find_regions(rough, least, examine)
-        tally.cut_frames += len(regions) > self.settings.max_objects_per_frame
-        return [
-            (region, np.subtract(light[region.at], ground.level[region.at], dtype=np.float32))
-            for region in regions[: self.settings.max_objects_per_frame]
-        ]
+        regions, most = find_regions(rough, least, examine), self.settings.max_objects_per_frame
+        tally.cut_frames += len(regions) > most
+        return [(region, seen.difference(region.at)) for region in regions[:most]]
 
-    def _smooth_difference(self, light: NDArray[Any], ground: StillBackground) -> NDArray[Any]:
+    def _smooth_difference(self, seen: _SeenFrame) -> NDArray[Any]:
         """How far the means over boxes of pixels differ from those of the background, in whole counts as the frame."""
-        return np.asarray(cv2.absdiff(cv2.blur(light, self.box), ground.blur(self.box, light.dtype)))
+        return np.asarray(cv2.absdiff(cv2.blur(seen.light, self.box), seen.ground.blur(self.box, seen.light.dtype)))
 
     def _split(self, areas: list[ContrastArea]) -> list[ContrastRegion]:
         """The parts of regions: a ball without its shadow, or the brighter or darker part of a region."""
         parts, least = list[ContrastRegion](), self.settings.min_disc_radius_px
         for region, apart in areas:
             smooth = cv2.blur(apart, (3, 3)) if self.is_noisy else apart
-            box = (region.left, region.top, *region.own.shape[::-1])
             for sign in self.signs:
-                parts += split_region(smooth, region.own, box, sign, self.low, least)
+                parts += split_region(smooth, region.own, (region.left, region.top), sign, self.low, least)
         return parts
 
     def _usual_radius(self, areas: list[list[ContrastArea]], given: float | None) -> tuple[list[float], float]:
@@ -362,55 +368,45 @@ class Discs:
     def _survey(self, number: int, frame: NDArray[Any], tally: _Tally) -> list[ContrastArea]:
         """The regions of a frame that do not touch the picture's rim."""
         tally.note_surveyed()
-        ground = self.scenes[self.scene_of[number]]
-        light = _match_brightness(frame, ground.level)
-        return [area for area in self._find_areas(light, ground, tally) if not area[0].touches_rim(light.shape)]
+        seen = _SeenFrame.of(frame, self.scenes[self.scene_of[number]])
+        return [area for area in self._find_areas(seen, tally) if not area[0].touches_rim(frame.shape)]
 
     def _is_disc(self, region: ContrastRegion, radius: float) -> bool:
         return region.is_disc(radius, self.settings.disc_radius_tolerance, self.elongated)
 
-    def _in_part(
-        self, light: NDArray[Any], ground: StillBackground, part: ContrastRegion, radius: float
-    ) -> list[tuple[DiscFit, int]]:
+    def _in_part(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[tuple[DiscFit, int]]:
         """Discs in one part, with their flags."""
         found: list[tuple[DiscFit, int]] = []
         if self._is_disc(part, radius):
-            fitted = fit_disc(DiscScene(light, ground, self._look(radius), part.blur), part.middle)
+            fitted = self._fit(seen, radius, part.middle, part.blur)
             flag = PositionFlag.STREAK if np.hypot(*part.blur) > MAX_BLUR_AT_REST * radius else 0
             found = [(fitted, flag)] if fitted is not None else []
         elif self.in_colour:
-            found = self._in_coloured_part(light, ground, part, radius)
+            found = self._in_coloured_part(seen, part, radius)
         elif 0.3 < part.area / (np.pi * radius**2) < 6:
-            found = self._touching(light, ground, part, radius)
+            found = self._touching(seen, part, radius)
         return [(f, flag) for f, flag in found if abs(f.radius / radius - 1) < self.settings.disc_radius_tolerance]
 
-    def _in_coloured_part(
-        self, light: NDArray[Any], ground: StillBackground, part: ContrastRegion, radius: float
-    ) -> list[tuple[DiscFit, int]]:
+    def _in_coloured_part(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[tuple[DiscFit, int]]:
         """The same in a plane of colour, for a region that is not one whole disc: the most discs that fit.
 
         A ball has the usual contrast. Between two balls that touch, or a ball and a hand or a cue, there is less.
         """
-        own = part.mask[1:-1, 1:-1]
-        at = part.top + 1, part.left + 1
-        inside = tuple(slice(first, first + long) for first, long in zip(at, own.shape, strict=True))
-        apart = (light[inside] - ground.level[inside]).astype(np.float32)
-        box = (at[1], at[0], own.shape[1], own.shape[0])
+        own, corner = part.mask[1:-1, 1:-1], (part.left + 1, part.top + 1)
+        apart = seen.difference(part.at)
         best = list[DiscFit]()
         for share in (0.6, 0.7, 0.8):
             strong = (own > 0) & (np.abs(apart) > share * self.contrast)
-            parts = split_region(apart, strong, box, 0, self.low, 0.6 * radius) if strong.any() else []
-            fits = [fit for p in parts for fit in self._inner_discs(light, ground, p, radius)]
+            parts = split_region(apart, strong, corner, 0, self.low, 0.6 * radius) if strong.any() else []
+            fits = [fit for p in parts for fit in self._inner_discs(seen, p, radius)]
             best = max(best, fits, key=lambda fits: (len(fits), -sum(fit.spread for fit in fits)))
         found = [(fit, int(PositionFlag.NEAR)) for fit in best]
         balls = part.area / (np.pi * radius**2)
         if len(found) < max(round(balls), 1) and 0.3 < balls < 6:
-            found = max(found, self._touching(light, ground, part, radius), key=len)
+            found = max(found, self._touching(seen, part, radius), key=len)
         return found
 
-    def _inner_discs(
-        self, light: NDArray[Any], ground: StillBackground, part: ContrastRegion, radius: float
-    ) -> list[DiscFit]:
+    def _inner_discs(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[DiscFit]:
         """The disc, or the discs that touch, of a part of such a region; a rough look: the fits decide."""
         middles, blur = find_touching_discs(part.mask)[1], np.zeros(2)
         starts = [np.add(middle, (part.left, part.top)) for middle in middles]
@@ -421,30 +417,27 @@ class Discs:
         fits = list[DiscFit]()
         for start in starts:
             others = [(float(x), float(y)) for x, y in starts if (x, y) != tuple(start)]
-            fit = fit_disc(DiscScene(light, ground, self._look(radius), blur, others), start)
+            fit = self._fit(seen, radius, start, blur, others)
             if fit is not None and abs(fit.radius / radius - 1) < 0.15:
                 fits.append(fit)
         return fits
 
-    def _look(self, radius: float) -> DiscAppearance:
-        return DiscAppearance(
-            radius=radius * self.true_to_fitted_radius,
-            noise=self.noise,
-            shaded=self.is_shaded,
-            radius_std=self.relative_radius_std * radius,
-        )
+    def _fit(
+        self, seen: _SeenFrame, radius: float, start: Array, blur: Array, others: Sequence[tuple[float, float]] = ()
+    ) -> DiscFit | None:
+        fitted_radius, spread = radius * self.true_to_fitted_radius, radius * self.relative_radius_std
+        look = DiscAppearance(fitted_radius, self.noise, self.is_shaded, spread)
+        return fit_disc(DiscScene(seen.light, seen.ground, look, blur, others), start)
 
-    def _touching(
-        self, light: NDArray[Any], ground: StillBackground, part: ContrastRegion, radius: float
-    ) -> list[tuple[DiscFit, int]]:
+    def _touching(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[tuple[DiscFit, int]]:
         """Discs in a region that is not one whole disc: cut by the picture's rim, or several that touch."""
         centres = [(x + part.left, y + part.top) for x, y in find_disc_centres(part, radius)]
         if not centres:
             return []
-        found, at_window = list[tuple[DiscFit, int]](), _find_rays(centres, radius, light.shape)
+        found, at_window = list[tuple[DiscFit, int]](), _find_rays(centres, radius, seen.light.shape)
         corner = np.array([at_window[1].start, at_window[0].start])
-        level = ground.level[at_window]
-        own = light[at_window].astype(np.float32)
+        level = seen.ground.level[at_window]
+        own = seen.light[at_window].astype(np.float32)
         if part.sign:  # without the shadows of the others
             own = level + part.sign * np.maximum(part.sign * (own - level), 0)
         for at in centres:
@@ -455,9 +448,7 @@ class Discs:
                 start = start + corner
             if start is None and part.sign and others:  # the lit part of a ball is not round
                 start = np.array(at)
-            fitted = None
-            if start is not None:
-                fitted = fit_disc(DiscScene(light, ground, self._look(radius), np.zeros(2), others), start)
+            fitted = None if start is None else self._fit(seen, radius, start, np.zeros(2), others)
             if fitted is not None:
                 found.append((fitted, PositionFlag.NEAR if others else 0))
         return found
@@ -489,12 +480,6 @@ def _measure_change(frame: NDArray[Any], level: NDArray[np.float32]) -> float:
     step = max(1, int(np.sqrt(frame.size / 16_000)))
     change = float(np.median(frame[::step, ::step] - level[::step, ::step]))
     return change if abs(change) > 1 else 0.0
-
-
-def _match_brightness(frame: NDArray[Any], level: NDArray[np.float32]) -> NDArray[Any]:
-    """A frame with the brightness of the background."""
-    change = _measure_change(frame, level)
-    return frame.astype(np.float32) - np.float32(change) if change else frame
 
 
 def _find_rays(centres: list[tuple[float, float]], radius: float, shape: tuple[int, ...]) -> Index:

@@ -18,19 +18,13 @@ from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
 from tracker.camera.mirror_images import locate_zenith_point
-from tracker.detection.candidates import Candidates, CandidateSearch, estimate_coarse_positions
+from tracker.detection.candidates import Candidates, CandidateSearch
 from tracker.detection.detector import Detections, View
 from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.likelihood.ball_profile import BallProfile
 from tracker.detection.likelihood.brightness_priors import apply_common_reflectance, apply_flux_prior
 from tracker.detection.likelihood.dsnu import DsnuEstimator
-from tracker.detection.likelihood.glint_fit import (
-    GlintFit,
-    GlintWindows,
-    fit_glints,
-    learn_profile,
-    score_blur_length,
-)
+from tracker.detection.likelihood.glint_fit import GlintFit, GlintWindows, fit_glints, learn_profile, score_blur_length
 from tracker.detection.likelihood.neighbours import find_isolated, find_neighbouring_glints
 from tracker.detection.likelihood.patches import (
     CandidatePatches,
@@ -110,37 +104,34 @@ class MaximumLikelihood:
 
     def _fit_block(self, patches: CandidatePatches) -> Glints:
         """The glints of a block of candidates."""
-        corner = np.column_stack([patches.column, patches.row]).astype(np.float64)
-        position = corner + estimate_coarse_positions(patches.counts, self.geometry.reach)
-        rough = _rough_glints(patches, position)
+        rough = _rough_glints(patches)
         ids = assign_track_numbers(rough, self.camera, settings=self.link)
         blur = self._blurs(rough, ids)
         clipped = np.any((patches.counts >= self.sensor.ceiling) & patches.inside, axis=(1, 2))
-        patches = self._subtract_offsets(patches)
         # From the glints to the middles of the ball profiles; it hardly depends on the exact position. The image of the
         # sky at an angle a from the zenith is a circle. Its centre is at cos(a/2) of the line from the ball's centre to
         # the point that mirrors the zenith. The profile's middle is that for a ring at half the ball's radius, cos 30
         # deg.
-        bowl = locate_zenith_point(self.camera, position, 0.866) - position
+        bowl = locate_zenith_point(self.camera, patches.position, 0.866) - patches.position
+        patches = replace(self._subtract_offsets(patches), blur=blur, bowl=bowl)
         # Encoders leave nothing of the mirrored room, so that there is no profile to learn.
         if self.profile is None and self.geometry.is_bounded and not self.sensor.codec_noise:
-            self._learn_profile(patches, position, blur, bowl)
+            self._learn_profile(patches)
         bowl_of_own = ~clipped & self.geometry.is_small
-        first = self._fit(patches, position, blur, bowl, bowl_of_own, np.zeros((len(position), 3)))
+        first = self._fit(patches, bowl_of_own, np.zeros((len(patches), 3)))
         found, good, light = first.glints, first.good, first.light
         # The first positions were rough, and so were velocities and neighbours: fit again where that shows.
         better = blur.copy()
         better[good] = self._blurs(found.take(good), ids[good])
-        self._collect_blur_evidence(patches, found, better, bowl, good & ~clipped)
+        patches = replace(patches, position=found.xy, blur=better)
+        self._collect_blur_evidence(patches, found, good & ~clipped)
         near = find_neighbouring_glints(found, good, self.camera)
         # a change of the blur by .03 widths of the glint shows in its position
         changed = np.max(np.abs(better - blur), axis=1) > 0.03 * self.sigma
         rows = np.flatnonzero(changed | near.is_near | (near.secondary[:, 2] > 0))
         if len(rows):
             bowl_of_own |= near.is_near & ~clipped
-            again = self._fit(
-                patches.take(rows), found.xy[rows], better[rows], bowl[rows], bowl_of_own[rows], near.secondary[rows]
-            )
+            again = self._fit(patches.take(rows), bowl_of_own[rows], near.secondary[rows])
             light[rows], good[rows] = again.light, again.good
             is_open = again.good & ~clipped[rows]
             _correct_by_reflectance(again.glints, again.secondary, near.flux_ratio[rows], is_open)
@@ -171,78 +162,51 @@ class MaximumLikelihood:
         exposed_frames = self.camera.effective_exposure * self.camera.fps
         return estimate_velocities(glints.frame, ids, glints.xy) * exposed_frames
 
-    def _is_isolated(self, patches: CandidatePatches, position: Array) -> Mask:
-        return find_isolated(patches.frame, position, 3.0 * self.camera.diameter_px)
+    def _is_isolated(self, patches: CandidatePatches) -> Mask:
+        return find_isolated(patches.frame, patches.position, 3.0 * self.camera.diameter_px)
 
-    def _collect_blur_evidence(
-        self, patches: CandidatePatches, found: Glints, blur: Array, bowl: Array, good: Mask
-    ) -> None:
+    def _collect_blur_evidence(self, patches: CandidatePatches, found: Glints, good: Mask) -> None:
         """Add what the 24 fastest and the 24 slowest isolated glints show of the length of the blur."""
         count = 24
-        length = np.hypot(*blur.T)
-        rows = np.flatnonzero(good & self._is_isolated(patches, found.xy))
+        length = np.hypot(*patches.blur.T)
+        rows = np.flatnonzero(good & self._is_isolated(patches))
         rows = rows[np.argsort(-length[rows], kind="stable")]
         if len(rows) < 2 * count or length[rows[count - 1]] < 0.05 * self.sigma:  # too short to be measured
             return
         rows = np.concatenate([rows[:count], rows[-count:]])
-        reach = self.geometry.reach
-        half = min(self.geometry.half + math.floor(float(np.max(np.abs(blur[rows]))) / 2.0 + 0.35), reach)
-        windows, origin = self._windows(patches, found.xy, blur, bowl, rows, half, with_profile=False)
+        half = int(self.geometry.half_of_blur(patches.blur[rows]).max())
+        windows, origin = make_windows(self.geometry, patches.take(rows), half, with_profile=False)
         known = np.column_stack([found.xy[rows] - origin, np.log(found.flux[rows]), found.background[rows]])
         still = np.arange(len(rows)) >= count
         self.blur.add(*score_blur_length(windows, known, still, self.sigma, self.sensor))
 
-    def _learn_profile(self, patches: CandidatePatches, position: Array, blur: Array, bowl: Array) -> None:
-        """Learn the profile from 24 to 128 bright isolated glints; ``position`` gets their better positions."""
+    def _learn_profile(self, patches: CandidatePatches) -> None:
+        """Learn the profile from 24 to 128 bright isolated glints; ``patches`` get their better positions."""
         bright = patches.strength > 0.5 * float(np.median(patches.strength))
-        still = np.hypot(*blur.T) < SMEARED_RADII * self.geometry.radius
-        rows = np.flatnonzero(bright & still & self._is_isolated(patches, position))
+        still = np.hypot(*patches.blur.T) < SMEARED_RADII * self.geometry.radius
+        rows = np.flatnonzero(bright & still & self._is_isolated(patches))
         if len(rows) < 24:
             return
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, 128).round().astype(np.int64))]
-        half = self.geometry.half + 1
-        windows, origin = self._windows(patches, position, blur, bowl, rows, half, with_profile=True)
+        windows, origin = make_windows(self.geometry, patches.take(rows), self.geometry.half + 1, with_profile=True)
         self.profile, found = learn_profile(windows, self.sigma, self.levelled, self.geometry.profile_end)
-        position[rows] = origin + found
+        patches.position[rows] = origin + found
 
-    def _windows(
-        self,
-        patches: CandidatePatches,
-        position: Array,
-        blur: Array,
-        bowl: Array,
-        rows: Ints,
-        half: int,
-        with_profile: bool,
-    ) -> tuple[GlintWindows, Array]:
-        return make_windows(
-            self.geometry, patches.take(rows), position[rows], blur[rows], bowl[rows], half, with_profile
-        )
-
-    def _fit(
-        self,
-        patches: CandidatePatches,
-        position: Array,
-        blur: Array,
-        bowl: Array,
-        bowl_of_own: Mask,
-        secondaries: Array,
-    ) -> _BlockFit:
+    def _fit(self, patches: CandidatePatches, bowl_of_own: Mask, secondaries: Array) -> _BlockFit:
         """Fit n glints in groups of one kind of window; `secondaries` (n, 3): their positions, px, and 1, or zeros."""
-        halves = self.geometry.half_of_blur(blur)
+        n, blur, halves = len(patches), patches.blur, self.geometry.half_of_blur(patches.blur)
         # Near a neighbour, or smeared, a ball has another profile than the learnt one. A clipped glint keeps the
         # learnt one beside a neighbour: a free bowl would cost it more.
         bowl_of_own = bowl_of_own | (np.hypot(*blur.T) > SMEARED_RADII * self.geometry.radius)
         has_secondary = secondaries[:, 2] > 0
         kinds = np.column_stack([halves, patches.level, bowl_of_own, has_secondary])
-        light, second = np.zeros((len(position), 3)), np.zeros((len(position), 4))
-        out = _rough_glints(patches, position)
-        good = np.zeros(len(position), dtype=bool)
+        light, second, good = np.zeros((n, 3)), np.zeros((n, 4)), np.zeros(n, dtype=bool)
+        out = _rough_glints(patches)
         for kind in np.unique(kinds, axis=0):
             rows = np.flatnonzero((kinds == kind).all(axis=1))
             half, is_level, own, paired = int(kind[0]), *map(bool, kind[1:])
             profile = None if own else self.profile
-            windows, origin = self._windows(patches, position, blur, bowl, rows, half, profile is not None)
+            windows, origin = make_windows(self.geometry, patches.take(rows), half, profile is not None)
             if paired:
                 spots = secondaries[rows] - np.column_stack([origin, np.zeros(len(rows))])
                 windows = replace(windows, secondaries=spots[:, None, :])
@@ -279,18 +243,10 @@ class MaximumLikelihood:
         return np.asarray(in_view & in_window & bright & result.converged)
 
 
-def _rough_glints(patches: CandidatePatches, position: Array) -> Glints:
-    """Candidates as glints at positions (n, 2), px, with a covariance that the fit will replace."""
-    n = len(position)
-    return Glints(
-        frame=patches.frame,
-        x=position[:, 0],
-        y=position[:, 1],
-        cov=np.tile(np.eye(2), (n, 1, 1)),
-        flux=patches.strength,
-        background=np.zeros(n),
-        flags=np.zeros(n, np.int64),
-    )
+def _rough_glints(patches: CandidatePatches) -> Glints:
+    """Candidates as glints at their first positions, with a covariance that the fit will replace."""
+    x, y = patches.position.T.copy()
+    return replace(Glints.at(x, y, 1.0, patches.strength), frame=patches.frame)
 
 
 def _correct_by_reflectance(found: Glints, second: Array, ratio: Array, is_open: Mask) -> None:

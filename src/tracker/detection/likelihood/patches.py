@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
-from tracker.detection.candidates import Candidates
+from tracker.detection.candidates import Candidates, estimate_coarse_positions
 from tracker.detection.detector import View
 from tracker.detection.glints import RowArrays
 from tracker.detection.likelihood.glint_fit import GlintWindows
@@ -60,6 +60,9 @@ class CandidatePatches(RowArrays):
     counts: NDArray[Any]  # (n, p, p)
     inside: NDArray[np.bool_]  # (n, p, p): pixels that lie in the frame and are not hot
     level: NDArray[np.bool_]  # (n,): the counts are corrected for the fixed offsets of their pixels
+    position: Array  # (n, 2): first positions of the glints, px
+    blur: Array  # (n, 2): displacements during the exposure, px
+    bowl: Array  # (n, 2): from the glints to the middles of the ball profiles, px
 
 
 def cut_patches(frame: NDArray[Any], found: Candidates, reach: int, sound: NDArray[np.bool_]) -> list[Patch]:
@@ -89,17 +92,11 @@ class PatchStack:
         column, row, strength = (
             np.concatenate([getattr(found, name) for found in self.found]) for name in ("column", "row", "strength")
         )
-        patches = CandidatePatches(
-            frame=np.array(self.numbers),
-            column=column,
-            row=row,
-            strength=strength,
-            counts=counts,
-            inside=inside,
-            level=np.zeros(len(counts), bool),
-        )
+        position = np.column_stack([column, row]) + estimate_coarse_positions(counts, counts.shape[1] // 2)
+        level, unknown = np.zeros(len(counts), bool), np.zeros_like(position)
+        frame = np.array(self.numbers)
         self.found, self.numbers, self.parts = [], [], []
-        return patches
+        return CandidatePatches(frame, column, row, strength, counts, inside, level, position, unknown, unknown)
 
 
 def _cut(frame: NDArray[Any], row: int, column: int, reach: int, sound: NDArray[np.bool_]) -> Patch:
@@ -115,19 +112,13 @@ def _cut(frame: NDArray[Any], row: int, column: int, reach: int, sound: NDArray[
 
 
 def make_windows(
-    geometry: GlintGeometry,
-    patches: CandidatePatches,
-    position: Array,
-    blur: Array,
-    bowl: Array,
-    half: int,
-    with_profile: bool,
+    geometry: GlintGeometry, patches: CandidatePatches, half: int, with_profile: bool
 ) -> tuple[GlintWindows, Array]:
     """Cut windows, 2 half + 1 pixels wide, around the pixels (n, 2) nearest to first positions of glints; and these.
 
-    Positions, displacements during the exposure, and vectors from the glints to the middles of the ball profiles are
-    (n, 2), px. `with_profile`: the learnt profile holds, which reaches further than a free bowl.
+    `with_profile`: the learnt profile holds, which reaches further than a free bowl.
     """
+    position, blur, bowl = patches.position, patches.blur, patches.bowl
     limit = geometry.profile_clear if with_profile else geometry.limit
     corner = np.column_stack([patches.column, patches.row])
     room = geometry.reach - half

@@ -14,7 +14,6 @@ from tracker.camera.lens import Array
 
 MIN_BLUR_PX = 1.5  # the shortest displacement during the exposure that is fitted; shorter ones do not show
 MIN_STREAK_FULLNESS = 0.96
-Box = tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,33 +62,28 @@ class ContrastRegion:
         """True if it has the shape of one disc of this radius, as `why_no_disc` says."""
         return not self.why_no_disc(radius, tolerance, elongated)
 
+    @property
+    def at(self) -> tuple[slice, slice]:
+        """Index of the mask without its rim into the picture."""
+        rows, columns = self.mask.shape
+        return slice(self.top + 1, self.top + rows - 1), slice(self.left + 1, self.left + columns - 1)
+
     def fill(self, picture: NDArray[np.uint8]) -> None:
         """Set the region's pixels in a picture (h, w) to 1."""
-        own = self.mask[1:-1, 1:-1]
-        at = slice(self.top + 1, self.top + 1 + own.shape[0]), slice(self.left + 1, self.left + 1 + own.shape[1])
-        picture[at] |= own
+        picture[self.at] |= self.mask[1:-1, 1:-1]
 
 
 def split_region(
-    apart: NDArray[Any], own: NDArray[np.bool_], box: Box, sign: int, low: float, min_radius: float
+    apart: NDArray[Any], own: NDArray[np.bool_], corner: tuple[int, int], sign: int, low: float, min_radius: float
 ) -> list[ContrastRegion]:
     """Split a region into parts that have half of its contrast.
 
-    Parameters
-    ----------
-    apart : (h, w) array
-        Difference from the background in the region's box, counts.
-    own : (h, w) array of bool
-        The pixels of the region.
-    box : tuple of int
-        left, top, width, height of the box, px.
-    sign : int
-        1 takes only what is brighter than the background, -1 what is darker, 0 both. A brighter part may have a quarter
-        of the contrast at its rim: it may be a ball that is lit from one side.
-    low, min_radius : float
-        Least contrast, counts, and least radius, px, of a part.
+    apart: (h, w) differences from the background, counts. own: (h, w), the pixels of the region. left, top: where they
+    lie in the picture, px. sign: 1 takes only what is brighter than the background, -1 what is darker, 0 both. A
+    brighter part may have a quarter of the contrast at its rim: it may be a ball that is lit from one side.
+    low, min_radius: least contrast, counts, and least radius, px, of a part.
     """
-    left, top, *_ = box
+    left, top = corner
     inside = sign * apart if sign else np.abs(apart)
     if sign:
         own = own & (inside > low / 2)
@@ -118,15 +112,10 @@ def _measure_part(
     lit: tuple[NDArray[Any], NDArray[np.bool_]],
     corner: tuple[int, int],
     sign: int,
-    *,
-    max_lean_ratio: float = 1.4,
-    min_blur_share: float = 0.8,
 ) -> ContrastRegion:
-    """The part within an outline, by its mask, the moments of the mask, and the contrast at its pixels.
-
-    max_lean_ratio: long half axis over short one of a ball whose dark side does not show.
-    min_blur_share: of the long axis' standard deviation; a shorter blur is an effect of the pixels.
-    """
+    """The part within an outline, by its mask, the moments of the mask, and the contrast at its pixels."""
+    max_lean_ratio = 1.4  # long half axis over short one of a ball whose dark side does not show
+    min_blur_share = 0.8  # of the long axis' standard deviation; a shorter blur is an effect of the pixels
     cov = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
     (least, most), axes = np.linalg.eigh(cov)
     long = np.sqrt(max(12 * (most - least), 0.0))
@@ -165,14 +154,19 @@ def find_disc_centres(region: ContrastRegion, radius: float) -> list[tuple[float
     balls = round(region.area / (np.pi * radius**2))
     if balls <= 1:
         return [(region.middle[0] - region.left, region.middle[1] - region.top)]
-    depth, middles = cv2.distanceTransform(region.mask, cv2.DIST_L2, 5), []
-    for _ in range(balls):
+    return _find_deepest(cv2.distanceTransform(region.mask, cv2.DIST_L2, 5), balls, 0.7 * radius, 1.3 * radius)
+
+
+def _find_deepest(depth: NDArray[Any], most: int, least: float, apart: float) -> list[tuple[float, float]]:
+    """The deepest points (x, y), at least so deep and so far apart, px; `depth` (h, w) is cleared around them."""
+    found = list[tuple[float, float]]()
+    for _ in range(most):
         _, deepest, _, (x, y) = cv2.minMaxLoc(depth)
-        if deepest < 0.7 * radius:
+        if deepest < least:
             break
-        middles.append((float(x), float(y)))
-        cv2.circle(depth, (x, y), round(1.3 * radius), 0.0, -1)
-    return middles
+        found.append((float(x), float(y)))
+        cv2.circle(depth, (x, y), round(apart), 0.0, -1)
+    return found
 
 
 def find_touching_discs(own: NDArray[Any]) -> tuple[float, list[tuple[float, float]]]:
@@ -183,14 +177,8 @@ def find_touching_discs(own: NDArray[Any]) -> tuple[float, list[tuple[float, flo
     """
     most, nothing = 8, (0.0, list[tuple[float, float]]())
     depth = cv2.distanceTransform(np.pad(own, 1).astype(np.uint8), cv2.DIST_L2, 5)
-    left, centres = depth.copy(), list[tuple[float, float]]()
     radius = float(depth.max()) - 0.5  # the rim is half a pixel within the first pixel outside
-    while len(centres) <= most:
-        _, deepest, _, (x, y) = cv2.minMaxLoc(left)
-        if deepest < 0.8 * radius:
-            break
-        centres.append((float(x), float(y)))
-        cv2.circle(left, (x, y), round(1.4 * radius), 0.0, -1)
+    centres = _find_deepest(depth.copy(), most + 1, 0.8 * radius, 1.4 * radius)
     if not 2 <= len(centres) <= most or abs(float(own.sum()) / (len(centres) * np.pi * radius**2) - 1) > 0.2:
         return nothing
     for i, one in enumerate(centres):

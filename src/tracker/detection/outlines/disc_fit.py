@@ -86,11 +86,7 @@ def _max_shift(look: DiscAppearance) -> float:
 
 def _lit_side(frame: Picture, at: Array, radius: float) -> Array:
     """The direction (2,) in which a disc becomes brighter; zero where none of it is in the picture."""
-    (column, row), reach = np.round(at).astype(int), int(radius / 2) + 1
-    rows, columns = np.mgrid[
-        max(row - reach, 0) : min(row + reach + 1, frame.shape[0]),
-        max(column - reach, 0) : min(column + reach + 1, frame.shape[1]),
-    ]
+    rows, columns = _list_pixels(at, int(radius / 2) + 1, frame.shape, 0)
     dx, dy = columns - at[0], rows - at[1]
     inside = np.hypot(dx, dy) < radius / 2
     light = frame[rows[inside], columns[inside]]
@@ -98,6 +94,14 @@ def _lit_side(frame: Picture, at: Array, radius: float) -> Array:
         return np.zeros(2)
     slope = np.array([np.mean(away[inside] * (light - light.mean())) for away in (dx, dy)])
     return slope / max(float(np.hypot(*slope)), 1e-9)
+
+
+def _list_pixels(at: Array, reach: int, shape: tuple[int, ...], rim: int) -> Any:
+    """Rows and columns (2, h, w) of the pixels around a position, without a rim of the picture."""
+    column, row = np.round(at).astype(int)
+    top, bottom = max(row - reach, rim), min(row + reach + 1, shape[0] - rim)
+    left, right = max(column - reach, rim), min(column + reach + 1, shape[1] - rim)
+    return np.mgrid[top:bottom, left:right]
 
 
 def _fit_from(scene: DiscScene, start: Array) -> DiscFit | None:
@@ -182,14 +186,9 @@ def _brightness_terms(dx: Array, dy: Array, look: DiscAppearance) -> NDArray[np.
 def _pixels(scene: DiscScene, start: Array) -> tuple[Array, Array, Array, Array, Array]:
     """x, y, count, ground and error of the ground, of the pixels near the outline."""
     frame, ground, look, blur = scene.frame, scene.ground, scene.look, scene.blur
-    height, width = frame.shape
     radius = look.radius
     inwards = max(EDGE_PX, 0.3 * radius) if look.shaded else EDGE_PX
-    reach = int(radius + EDGE_PX + 2 + np.abs(blur).max() / 2)
-    column, row = np.round(start).astype(int)
-    top, bottom = max(row - reach, 1), min(row + reach + 1, height - 1)
-    left, right = max(column - reach, 1), min(column + reach + 1, width - 1)
-    rows, columns = np.mgrid[top:bottom, left:right]
+    rows, columns = _list_pixels(start, int(radius + EDGE_PX + 2 + np.abs(blur).max() / 2), frame.shape, 1)
     long = float(np.hypot(*blur))
     along = blur / long if long > 0 else np.array([1.0, 0.0])
     dx, dy = columns - start[0], rows - start[1]
@@ -213,16 +212,10 @@ def _measure_ground_light(scene: DiscScene, at: Array) -> Callable[[Array, Array
     the relative brightness, 1 outside the shadow, and its difference from the neighbouring directions.
     """
     frame, ground, radius = scene.frame, scene.ground, scene.look.radius
-    height, width = frame.shape
     nearest, furthest = 1.5, 4.5  # distance of the ground from the outline, px
     arc_px = 2.5  # length along the outline over which the brightness is averaged
     min_sigma = 4.0  # standard errors by which ground in shadow is darker than the background
-    reach = int(radius + furthest + 2)
-    column, row = np.round(at).astype(int)
-    rows, columns = np.mgrid[
-        max(row - reach, 1) : min(row + reach + 1, height - 1),
-        max(column - reach, 1) : min(column + reach + 1, width - 1),
-    ]
+    rows, columns = _list_pixels(at, int(radius + furthest + 2), frame.shape, 1)
     dx, dy = columns - at[0], rows - at[1]
     off = np.hypot(dx, dy) - radius
     used = (off > nearest) & (off < furthest)

@@ -25,23 +25,9 @@ def fit_outline_circle(
 ) -> Array | None:
     """Fit a circle to the outline of a hidden disc, which is where rays from the middle cross half the contrast.
 
-    Parameters
-    ----------
-    frame, level : (h, w) array
-        A frame, and the background.
-    at : (x, y)
-        Approximate centre, px.
-    radius : float
-        px.
-    others : list of (x, y)
-        Positions of balls that touch this one, px.
-    low : float
-        Least contrast, counts.
-
-    Returns
-    -------
-    ndarray of shape (2,) or None
-        The centre, px. None where less than .55 of the outline is visible, or .3 where other balls touch.
+    `frame` and `level` (h, w) are a frame and the background, `at` the approximate centre, `others` the positions of
+    balls that touch this one, px, and `low` the least contrast, counts. The result is the centre (2,), px; None where
+    less than .55 of the outline is visible, or .3 where other balls touch.
     """
     rays, step = 72, 0.25  # number of rays; distance of the points along a ray, px
     h, w = frame.shape
