@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, ma
 from tracker.camera.readers.tiff_stack import choose_light_conversion
 
 TIFF = (".tif", ".tiff")
+KEPT_BYTES = 100 << 20  # of pictures that stay in memory, because the planes of a film's colours are tried in turn
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 
 
@@ -45,9 +47,11 @@ def read_picture_folder(folder: Path, options: FilmOptions = DEFAULT_OPTIONS) ->
         if picture.shape != first.shape or picture.dtype != first.dtype:
             has, wants = (f"{'x'.join(map(str, a.shape[1::-1]))} {a.dtype}" for a in (picture, first))
             raise InputError(f"{paths[k]}: {has}, expected {wants} as in {paths[0].name}")
+        picture.flags.writeable = False
         return picture
 
-    frames = make_grey_frames(folder, len(paths), first.shape, first.dtype, fetch)
+    recall = lru_cache(maxsize=KEPT_BYTES // max(first.nbytes, 1))(fetch)
+    frames = make_grey_frames(folder, len(paths), first.shape, first.dtype, recall)
     frames.lossy = paths[0].suffix.lower() in (".jpg", ".jpeg")
     frames.faults = (*_describe_hidden(folder), *_describe_colours(paths[0]))
     if options.times != "even":

@@ -253,22 +253,17 @@ def _model(
     blur = now[4:6] if swept else np.zeros(2)
     # the blur is a sum over points on its line, .7 px apart at most
     points = min(1 + 2 * int(np.hypot(*blur) / (2 * 0.7)), 61)
-    cover, slopes = np.zeros(len(x)), np.zeros((len(now), len(x)))
-    for s in (np.arange(points) + 0.5) / points - 0.5:
-        dx, dy = x - now[0] - s * blur[0], y - now[1] - s * blur[1]
-        r = np.maximum(np.hypot(dx, dy), 1e-9)
-        bent = now[3] / (2 * now[2])  # widths by which a blurred disc's half brightness lies inside its outline
-        z = (r - now[2]) / now[3] + bent
-        density = np.exp(-z * z / 2) / np.sqrt(2 * np.pi) / now[3]
-        cover += ndtr(-z)
-        sides = density * dx / r, density * dy / r
-        slopes[0] += sides[0]
-        slopes[1] += sides[1]
-        slopes[2] += density
-        slopes[3] += density * (z - 2 * bent)
-        if swept:
-            slopes[4] += s * sides[0]
-            slopes[5] += s * sides[1]
+    s = ((np.arange(points) + 0.5) / points - 0.5)[:, None]
+    dx, dy = x - now[0] - s * blur[0], y - now[1] - s * blur[1]
+    r = np.maximum(np.hypot(dx, dy), 1e-9)
+    bent = now[3] / (2 * now[2])  # widths by which a blurred disc's half brightness lies inside its outline
+    z = (r - now[2]) / now[3] + bent
+    density = np.exp(-z * z / 2) / np.sqrt(2 * np.pi) / now[3]
+    sides = density * dx / r, density * dy / r
+    cover, slopes = ndtr(-z).sum(axis=0), np.zeros((len(now), len(x)))
+    rows = [*sides, density, density * (z - 2 * bent), *((s * sides[0], s * sides[1]) if swept else ())]
+    for k, row in enumerate(rows):
+        slopes[k] = row.sum(axis=0)
     cover, slopes = cover / points, slopes * (now[-count:] @ terms - level) / points
     slopes[-count:] = cover * terms
     return cover, slopes
