@@ -126,12 +126,10 @@ class OpenedResults:
             # positions tell points apart after an exchange of numbers
             known = zip(tracks.particle.tolist(), tracks.frame.tolist(), tracks.x.tolist(), strict=True)
             self._residuals[number] = {(k, x): off[p, k] for p, k, x in known if (p, k) in off}
-        return _list_tracks(edits.apply(tracks, number, film).tracks, camera, self._residuals[number])
-
-
-def _list_tracks(tracks: Tracks, camera: Camera, residuals: Mapping[Any, tuple[float, float]]) -> list[dict[str, Any]]:
-    keys = zip(tracks.frame.tolist(), tracks.x.tolist(), strict=True)
-    return list_columns(tracks, camera, np.array([residuals.get(key, (np.nan, np.nan)) for key in keys]).reshape(-1, 2))
+        edited, residuals = edits.apply(tracks, number, film).tracks, self._residuals[number]
+        keys = zip(edited.frame.tolist(), edited.x.tolist(), strict=True)
+        off = [residuals.get(key, (np.nan, np.nan)) for key in keys]
+        return list_columns(edited, camera, np.array(off).reshape(-1, 2))
 
 
 def list_columns(tracks: Tracks, camera: Camera, metres: NDArray[Any]) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ import tempfile
 import threading
 import time
 import webbrowser
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -65,45 +65,48 @@ class OpenPages:
 
 
 class SessionAddresses:
-    """All addresses of a session's page: each method answers the requests to one of them."""
+    """All addresses of a session's page, and what answers the requests to each."""
 
     def __init__(self, bench: Workbench, presence: OpenPages) -> None:
         self.bench, self.presence = bench, presence
 
     def list_routes(self) -> list[Route]:
-        """Each address with the method that answers it."""
+        """Each address with the function that answers it."""
+        bench = self.bench
+        asked: dict[str, Callable[..., Any]] = {  # what the page asks for; the numbers in an address are arguments
+            "film": bench.describe,
+            "levels": lambda: bench.view.levels,  # apart from the film, because they need frames all over it
+            "results/{number:int}": bench.describe_results,
+            "tracks": bench.describe_tracks,
+            "searched/{number:int}": bench.describe_search,
+        }
+        sent: dict[str, Callable[[Any], Any]] = {  # what takes the values that the page sends
+            "clip": self.open_clip,
+            "settings": bench.apply,
+            "run": self.start_run,
+            "calibrate": bench.start_calibration,
+            "edits": bench.mend,
+            "combine": lambda _: bench.start_combination(),
+            "search": bench.start_search,
+            "preview": bench.previews.ask,
+            "generate": bench.start_generation,
+            "cancel": self.cancel_run,
+        }
         return [
             Route("/", self.show_page),
-            Route("/static/{name}", self.show_static),
+            Route("/static/{name}", lambda request: _serve_file(STATIC, request.path_params["name"])),
             Route("/report/{key}/{number:int}/{name:path}", self.show_report),
             Route("/frame/{index:int}.{kind}", self.show_frame),
-            Route("/api/film", self.describe),
-            Route("/api/levels", self.find_levels),
             Route("/api/balls/{index:int}", self.find_balls),
-            Route("/api/results/{number:int}", self.describe_results),
-            Route("/api/tracks", self.describe_tracks),
-            Route("/api/searched/{number:int}", self.describe_search),
-            Route("/api/clip", self.open_clip, methods=["POST"]),
-            Route("/api/settings", self.apply, methods=["POST"]),
-            Route("/api/run", self.start_run, methods=["POST"]),
-            Route("/api/calibrate", self.start_calibration, methods=["POST"]),
-            Route("/api/edits", self.mend, methods=["POST"]),
-            Route("/api/combine", self.start_combination, methods=["POST"]),
-            Route("/api/search", self.start_search, methods=["POST"]),
-            Route("/api/preview", self.draw_scene, methods=["POST"]),
-            Route("/api/generate", self.start_generation, methods=["POST"]),
-            Route("/api/cancel", self.cancel_run, methods=["POST"]),
             Route("/api/status", self.stream_status),
+            *(Route(f"/api/{name}", _answer(find)) for name, find in asked.items()),
+            *(Route(f"/api/{name}", _answer_body(take), methods=["POST"]) for name, take in sent.items()),
         ]
 
     def show_page(self, request: Request) -> Response:
         """The page itself."""
         self.presence.asked = True
         return _serve_file(STATIC, "index.html")
-
-    def show_static(self, request: Request) -> Response:
-        """A file that the page needs, such as its script."""
-        return _serve_file(STATIC, request.path_params["name"])
 
     def show_report(self, request: Request) -> Response:
         """A file of a run's results, such as its report."""
@@ -131,71 +134,22 @@ class SessionAddresses:
         found = self.bench.find_balls(request.path_params["index"])
         return JSONResponse(found) if found is not None else _refuse("the detector is being prepared", 409)
 
-    def describe(self, request: Request) -> Response:
-        """The film, its settings and its runs."""
-        return JSONResponse(self.bench.describe())
-
-    def find_levels(self, request: Request) -> Response:
-        """The grey levels of the film, at an address of their own because they need frames all over the film."""
-        return JSONResponse(self.bench.view.levels)
-
-    def describe_results(self, request: Request) -> Response:
-        """The results of one run."""
-        return JSONResponse(self.bench.describe_results(request.path_params["number"]))
-
-    def describe_tracks(self, request: Request) -> Response:
-        """The tracks of the clip in view, and their edits."""
-        return JSONResponse(self.bench.describe_tracks())
-
-    def describe_search(self, request: Request) -> Response:
-        """The residuals of the clip in view, without and with what a search found."""
-        return JSONResponse(self.bench.describe_search(request.path_params["number"]))
-
-    async def open_clip(self, request: Request) -> Response:
+    def open_clip(self, index: Any) -> dict[str, Any]:
         """Show another clip of the film."""
-        index = await _read_body(request)
         if not isinstance(index, int) or isinstance(index, bool):
             raise InputError("clip: expected a whole number")
-        await run_in_threadpool(self.bench.open_clip, index)
-        return JSONResponse(await run_in_threadpool(self.bench.describe))
+        self.bench.open_clip(index)
+        return self.bench.describe()
 
-    async def apply(self, request: Request) -> Response:
-        """Use the settings that the page sends."""
-        return JSONResponse(await run_in_threadpool(self.bench.apply, await _read_body(request)))
+    def start_run(self, values: Any) -> dict[str, Any]:
+        """Use these settings, and track the film with them."""
+        self.bench.apply(values)
+        return self.bench.start_run()
 
-    async def start_run(self, request: Request) -> Response:
-        """Use the settings that the page sends, and track the film with them."""
-        await run_in_threadpool(self.bench.apply, await _read_body(request))
-        return JSONResponse(await run_in_threadpool(self.bench.start_run))
-
-    async def start_calibration(self, request: Request) -> Response:
-        """Start the calibration that the page asks for."""
-        return JSONResponse(await run_in_threadpool(self.bench.start_calibration, await _read_body(request)))
-
-    async def mend(self, request: Request) -> Response:
-        """Correct the tracks, or undo a correction."""
-        return JSONResponse(await run_in_threadpool(self.bench.mend, await _read_body(request)))
-
-    async def start_combination(self, request: Request) -> Response:
-        """Combine results to a set."""
-        return JSONResponse(await run_in_threadpool(self.bench.start_combination))
-
-    async def start_search(self, request: Request) -> Response:
-        """Search results for what a model lacks, whose name the page sends."""
-        return JSONResponse(await run_in_threadpool(self.bench.start_search, await _read_body(request)))
-
-    async def draw_scene(self, request: Request) -> Response:
-        """A picture of the scene that the page sends, or the names of the scenes."""
-        return JSONResponse(await run_in_threadpool(self.bench.previews.ask, await _read_body(request)))
-
-    async def start_generation(self, request: Request) -> Response:
-        """Make a dataset of the scene that the page sends, and open it."""
-        return JSONResponse(await run_in_threadpool(self.bench.start_generation, await _read_body(request)))
-
-    async def cancel_run(self, request: Request) -> Response:
+    def cancel_run(self, _: Any) -> dict[str, Any]:
         """Stop the run."""
         self.bench.process.cancel()
-        return JSONResponse(self.bench.describe_status())
+        return self.bench.describe_status()
 
     async def stream_status(self, request: Request) -> Response:
         """The status of the session, sent at each change for as long as the page is open."""
@@ -224,11 +178,22 @@ def make_application(bench: Workbench, port: int, token: str, presence: OpenPage
     return LocalOnly(application, port, token, bench.report_key)
 
 
-async def _read_body(request: Request) -> Any:
-    try:
-        return json.loads(await request.body())  # its size is checked by LocalOnly
-    except (ValueError, RecursionError):
-        raise InputError("expected JSON") from None
+def _answer(find: Callable[..., Any]) -> Callable[[Request], Response]:
+    """The answer to a request: what a function finds for the numbers in the address."""
+    return lambda request: JSONResponse(find(**request.path_params))
+
+
+def _answer_body(take: Callable[[Any], Any]) -> Callable[[Request], Awaitable[Response]]:
+    """The answer to a request with a body, whose size `LocalOnly` has checked."""
+
+    async def answer(request: Request) -> Response:
+        try:
+            body = json.loads(await request.body())
+        except (ValueError, RecursionError):
+            raise InputError("expected JSON") from None
+        return JSONResponse(await run_in_threadpool(take, body))
+
+    return answer
 
 
 async def _explain_error(request: Request, error: Exception) -> Response:

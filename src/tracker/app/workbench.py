@@ -42,10 +42,10 @@ from tracker.camera.recordings import RecordingSource, open_source
 from tracker.edits import EDITS, TrackEdits
 from tracker.results import clip_folder, replace_non_finite
 
-FILES_OF_RUNS = (
-    *("command_{}.txt", "edits_{}.yaml", "camera_{}.json", "calibrated_{}.json", "points_{}.csv", "model_{}.yaml"),
-    *("results_{}", "set_{}", "search_{}", "scene_{}.yaml", "made_{}"),
-)
+FILES_OF_RUNS = dict.fromkeys(("results", "set", "search", "made"), "") | {  # endings of the names, as results_1
+    "command": ".txt", "edits": ".yaml", "camera": ".json", "calibrated": ".json", "points": ".csv", "model": ".yaml",
+    "scene": ".yaml",
+}  # fmt: skip
 MAX_WAIT_AT_END_S = 2.0  # for the preparation of a detector, which ends with the program
 MAX_MADE_CLIPS = 1000  # on the page; the command makes more
 OPENED = 0  # the number of the results that the session was opened with; its runs count from 1
@@ -123,7 +123,7 @@ class Workbench:
     def _take_result(self, status: RunStatus) -> None:
         """Take what a run made that has ended. Raises InputError."""
         if (status.command, status.state) == ("calibrate", "done"):
-            self._take_camera(self._calibrated(status.number))
+            self._take_camera(self._file("calibrated", status.number))
         if (status.command, status.state) == ("generate", "done"):
             self._open_source(self._made(status.number))
         if status.command == "generate" and status.state in ("cancelled", "failed"):
@@ -183,32 +183,29 @@ class Workbench:
     def describe(self) -> dict[str, Any]:
         """All that the page needs when it is loaded."""
         with self._lock:
-            return self._describe()
-
-    def _describe(self) -> dict[str, Any]:
-        frames, view = self.view.clip.frames, self.view
-        even = bool((frames.numbers == np.arange(len(frames))).all())
-        return {
-            "film": f"{self.film}",
-            "clips": [number for number, _ in self.source.clips],
-            "clip": view.index,
-            "mark": view.mark,
-            "frames": len(frames),
-            "numbers": None if even else frames.numbers.tolist(),
-            "size": view.size,
-            "fps": round(frames.fps, 6),
-            "channels": view.channels,
-            "notes": [str(note) for note in view.clip.notes],
-            "given": None if self.given is None else replace_non_finite(dict(self.given)),
-            "folder": f"{self.folder}",
-            "has_film": self.has_film,
-            "opened": self.results[OPENED].describe_clips() if OPENED in self.results else [],
-            "results": self._find_latest(),
-            "search": max((number for number, one in self.searches.items() if one.is_there), default=None),
-            "settings": self.plan.settings.model_dump(),
-            "plan": self.describe_plan(),
-            "status": self.describe_status(),
-        }
+            frames, view = self.view.clip.frames, self.view
+            even = bool((frames.numbers == np.arange(len(frames))).all())
+            return {
+                "film": f"{self.film}",
+                "clips": [number for number, _ in self.source.clips],
+                "clip": view.index,
+                "mark": view.mark,
+                "frames": len(frames),
+                "numbers": None if even else frames.numbers.tolist(),
+                "size": view.size,
+                "fps": round(frames.fps, 6),
+                "channels": view.channels,
+                "notes": [str(note) for note in view.clip.notes],
+                "given": None if self.given is None else replace_non_finite(dict(self.given)),
+                "folder": f"{self.folder}",
+                "has_film": self.has_film,
+                "opened": self.results[OPENED].describe_clips() if OPENED in self.results else [],
+                "results": max(self._list_finished(self.view.number), default=None),
+                "search": max((number for number, one in self.searches.items() if one.is_there), default=None),
+                "settings": self.plan.settings.model_dump(),
+                "plan": self.describe_plan(),
+                "status": self.describe_status(),
+            }
 
     # --- settings
 
@@ -223,12 +220,10 @@ class Workbench:
         """The settings as camera.json and as a command line."""
         with self._lock:
             number, plan = self._next_number(), self.plan
-            command = join_words(self._write_command(number))
-            camera = self._camera_file(number)
             return {
                 "camera": None if plan.keys is None else json.dumps(replace_non_finite(plan.keys), indent=1),
-                "camera_file": f"{camera}" if plan.needs_file else "",
-                "command": command,
+                "camera_file": f"{self._file('camera', number)}" if plan.needs_file else "",
+                "command": join_words(self._write_command(number)),
             }
 
     def _take(self, plan: RunPlan) -> None:
@@ -302,26 +297,15 @@ class Workbench:
     def _next_number(self, folder: Path | None = None) -> int:
         """The first number without a file of an earlier run, finished, interrupted or claimed."""
         taken = {path.name.removesuffix(".partial") for path in (folder or self.folder).glob("*_*")}
-        names = ({kind.format(n) for kind in FILES_OF_RUNS} for n in count(1))
+        names = ({_name_file(kind, n) for kind in FILES_OF_RUNS} for n in count(1))
         return next(n for n, own in enumerate(names, 1) if not own & taken)
 
-    def _command_file(self, number: int, folder: Path | None = None) -> Path:
-        return (folder or self.folder) / f"command_{number}.txt"
+    def _file(self, kind: str, number: int, folder: Path | None = None) -> Path:
+        """A file or folder of a run: its kind is a key of FILES_OF_RUNS."""
+        return (folder or self.folder) / _name_file(kind, number)
 
     def _made(self, number: int) -> Path:
-        return self.home / f"made_{number}"
-
-    def _edits_file(self, number: int) -> Path:
-        return self.folder / f"edits_{number}.yaml"
-
-    def _camera_file(self, number: int) -> Path:
-        return self.folder / f"camera_{number}.json"
-
-    def _results(self, number: int) -> Path:
-        return self.folder / f"results_{number}"
-
-    def _calibrated(self, number: int) -> Path:
-        return self.folder / f"calibrated_{number}.json"
+        return self._file("made", number, self.home)
 
     def start_calibration(self, values: Any) -> dict[str, Any]:
         """Start `tracker calibrate`: the scale by the balls, or the perspective by known points. Raises InputError.
@@ -332,21 +316,20 @@ class Workbench:
         rest = {key: value for key, value in values.items() if key != "points"} if isinstance(values, dict) else values
         settings = build_settings(rest, RunSettings, "settings")
         given = build_settings({"points": values.get("points")}, KnownPoints, "points")
-        wanted = {"--diameter": settings.ball_diameter, "--fps": settings.fps, "--exposure": settings.exposure}
         known = self.given or {}
-        wanted["--diameter"] = wanted["--diameter"] or known.get("ball_diameter")
-        wanted["--fps"] = wanted["--fps"] or known.get("fps")
+        wanted = {"--diameter": settings.ball_diameter or known.get("ball_diameter")}
+        wanted |= {"--fps": settings.fps or known.get("fps"), "--exposure": settings.exposure}
         if not self.has_film:
             raise InputError("calibrate: the film of these results is not here")
         if not (wanted["--diameter"] and wanted["--fps"]):
             raise InputError("calibrate: set the ball diameter and the frames a second; the film then gives the rest")
         with self._lock:
             number = self._claim_number()
-            words = ["tracker", "calibrate", name_as_argument(self.film), "-o", f"{self._calibrated(number)}"]
+            words = ["tracker", "calibrate", name_as_argument(self.film), "-o", f"{self._file('calibrated', number)}"]
             for name, value in wanted.items():
                 words += [name, f"{value:.12g}"] if value else []
             if given.points is not None:
-                table = self.folder / f"points_{number}.csv"
+                table = self._file("points", number)
                 lines = [",".join(f"{value:.12g}" for value in point) for point in given.points]
                 write_atomically(table, "\n".join(["x_px,y_px,x,y", *lines, ""]))
                 words += ["--points", f"{table}"]
@@ -370,12 +353,12 @@ class Workbench:
         while True:
             number = self._next_number(folder)
             with suppress(FileExistsError):
-                self._command_file(number, folder).touch(exist_ok=False)
+                self._file("command", number, folder).touch(exist_ok=False)
                 return number
 
     def _start_process(self, number: int, words: list[str], folder: Path | None = None) -> None:
         """Start a run, and note its command beside its results."""
-        write_atomically(self._command_file(number, folder), join_words(words) + "\n")
+        write_atomically(self._file("command", number, folder), join_words(words) + "\n")
         self.process.start(number, words)
 
     def start_generation(self, values: Any) -> dict[str, Any]:
@@ -394,7 +377,7 @@ class Workbench:
             raise InputError("make: expected the name of a scene")
         with self._lock:
             number = self._claim_number(self.home)
-            file = self.home / f"scene_{number}.yaml"
+            file = self._file("scene", number, self.home)
             write_atomically(file, scene)
             words = ["synthcam", "generate", f"{file}", "-o", f"{self._made(number)}"]
             self._start_process(number, [*words, "--clips", f"{clips}", "--seed", f"{seed}"], self.home)
@@ -405,22 +388,23 @@ class Workbench:
         with self._lock:
             number, plan = self._claim_number(), self.plan
             if plan.needs_file and self.has_film:
-                write_atomically(self._camera_file(number), json.dumps(replace_non_finite(plan.keys), indent=1) + "\n")
+                text = json.dumps(replace_non_finite(plan.keys), indent=1)
+                write_atomically(self._file("camera", number), text + "\n")
             if self.mending.edits:
-                write_atomically(self._edits_file(number), TrackEdits.of({"edits": self.mending.edits}).write())
-            self.results[number] = OpenedResults(self._results(number))
+                write_atomically(self._file("edits", number), TrackEdits.of({"edits": self.mending.edits}).write())
+            self.results[number] = OpenedResults(self._file("results", number))
             self._start_process(number, self._write_command(number))
             return self.describe_status()
 
     def _write_command(self, number: int) -> list[str]:
         """The words of the command of run `number`: of results without their film, the one that measures tracks."""
-        edits = ["--edits", f"{self._edits_file(number)}"] if self.mending.edits else []
+        edits = ["--edits", f"{self._file('edits', number)}"] if self.mending.edits else []
         if self.has_film:
-            camera = self._camera_file(number) if self.plan.needs_file else self.source.camera
-            return [*self.plan.write_command(self.film, camera, self._results(number)), *edits]
+            camera = self._file("camera", number) if self.plan.needs_file else self.source.camera
+            return [*self.plan.write_command(self.film, camera, self._file("results", number)), *edits]
         own = clip_folder(self.source.path, self.view.number)
         words = ["tracker", "measure", name_as_argument(own / "tracks.parquet"), "--camera", f"{own / 'camera.json'}"]
-        return [*words, "-o", f"{self._results(number)}", *edits]
+        return [*words, "-o", f"{self._file('results', number)}", *edits]
 
     def describe_status(self) -> dict[str, Any]:
         """State of the detector and of the run."""
@@ -442,7 +426,7 @@ class Workbench:
             if not folders:
                 raise InputError("combine: expected results, track a film first")
             number = self._claim_number()
-            self.pages[number] = self.folder / f"set_{number}"
+            self.pages[number] = self._file("set", number)
             words = ["tracker", "combine", *map(name_as_argument, folders), "-o", f"{self.pages[number]}"]
             self._start_process(number, words)
             return self.describe_status()
@@ -458,10 +442,10 @@ class Workbench:
             if len(found) != 1:
                 raise InputError(f"search: expected one folder of results, there are {len(found)}")
             number = self._claim_number()
-            model = self.folder / (name or f"model_{number}.yaml")
+            model = self.folder / name if name else self._file("model", number)
             if not name:
                 write_atomically(model, "model: {}  # all defaults\n")
-            self.pages[number] = self.folder / f"search_{number}"
+            self.pages[number] = self._file("search", number)
             self.searches[number] = SearchedResiduals(self.pages[number], found[0])
             words = ["discrepancy", "find", name_as_argument(found[0].folder), "--model", f"{model}"]
             self._start_process(number, [*words, "-o", f"{self.pages[number]}"])
@@ -554,9 +538,6 @@ class Workbench:
                     out.append(number)
         return out
 
-    def _find_latest(self) -> int | None:
-        return max(self._list_finished(self.view.number), default=None)
-
     def _find_clip(self, number: int) -> int:
         if self.view.number not in self.find_results(number).numbers:
             raise InputError(f"run {number}: of another clip")
@@ -568,6 +549,10 @@ class Workbench:
         if found is None or not (found.folder / "estimates.parquet").is_file():
             raise InputError(f"run {number}: not one of this page")
         return found
+
+
+def _name_file(kind: str, number: int) -> str:
+    return f"{kind}_{number}{FILES_OF_RUNS[kind]}"
 
 
 def _open_film(

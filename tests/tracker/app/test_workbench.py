@@ -66,7 +66,7 @@ def end_generation(bench, number=1):
 
 def test_a_made_dataset_is_opened_as_a_whole_before_its_run_is_done(bench, tmp_path, monkeypatch):
     before = bench.describe()
-    write_dataset(bench._made(1), 40)
+    write_dataset(bench.home / "made_1", 40)
     gate = Gate(monkeypatch, "FilmView")
     end_generation(bench)
     assert gate.reached.wait(10)
@@ -81,7 +81,7 @@ def test_a_made_dataset_is_opened_as_a_whole_before_its_run_is_done(bench, tmp_p
     assert until(lambda: bench.process.status.state == "done")
     now = bench.describe()
     assert now["folder"] == f"{bench.home / 'made_1_workbench'}"
-    assert (now["film"], now["size"]) == (f"{bench._made(1) / 'clips/000000'}", (40, 20))
+    assert (now["film"], now["size"]) == (f"{bench.home / 'made_1/clips/000000'}", (40, 20))
 
 
 def test_a_run_that_starts_while_a_clip_is_opened_keeps_its_clip(bench, monkeypatch):
@@ -100,19 +100,19 @@ def test_a_run_that_starts_while_a_clip_is_opened_keeps_its_clip(bench, monkeypa
     bench.start_run()
     gate.go_on.set()
     opening.join(10)
-    assert "clips/000000" in bench._command_file(1).read_text()
+    assert "clips/000000" in (bench.folder / "command_1.txt").read_text()
     assert (bench.describe()["clip"], bench.view.number) == (0, 0)
     assert refusals == ["clip: a run is under way; wait for it, or cancel it"]
 
 
 def test_a_dataset_that_cannot_be_opened_changes_nothing(bench):
     before = bench.describe()
-    bench._made(1).mkdir(parents=True)
+    (bench.home / "made_1").mkdir(parents=True)
     end_generation(bench)
     assert until(lambda: not bench.process.is_running)
     status = bench.process.status
     assert status.state == "failed"
-    assert f"{bench._made(1)}" in status.error
+    assert f"{bench.home / 'made_1'}" in status.error
     after = bench.describe()
     assert [after[key] for key in ("film", "folder", "mark", "clips")] == [
         before[key] for key in ("film", "folder", "mark", "clips")
@@ -123,7 +123,7 @@ def test_a_dataset_that_cannot_be_opened_changes_nothing(bench):
 
 def test_two_datasets_of_one_camera_have_detectors_of_their_own(bench, prepared):
     for number in (1, 2):
-        write_dataset(bench._made(number), 50)
+        write_dataset(bench.home / f"made_{number}", 50)
         end_generation(bench, number)
         assert until(lambda n=number: bench.folder.name == f"made_{n}_workbench")
         assert until(lambda n=number: prepared[1:] == [50] * n)
