@@ -153,8 +153,8 @@ def open_workbench(
         if error.name not in ("starlette", "uvicorn"):
             raise
         raise InputError("tracker open needs the extra app; type: pip install 'synthcam[app]'") from None
-    from tracker.app.examples import make_examples
     from tracker.app.opened_results import OpenedResults, find_film, show_tracks_alone
+    from tracker.app.scene_previews import make_examples
     from tracker.app.workbench import Workbench
 
     source, *others = sources or [make_examples()]

@@ -1,4 +1,4 @@
-"""Results that the page shows: their clips, recommended numbers, and tracks with residuals; and the film of results."""
+"""Results that the page shows: clips, recommended numbers, tracks with residuals, also of a search; and their film."""
 
 from __future__ import annotations
 
@@ -42,6 +42,7 @@ from tracker.report.pages import PAGE
 from tracker.results import RUN, rows_as_dicts
 
 MAX_COLLISIONS = 20  # whose numbers the page lists; the report has all
+SEARCHED = "residuals.parquet"  # of a search
 MAX_POSITIONS = 200_000  # of tracks that the page draws
 MAX_FRAMES_ALONE = 10_000_000  # of results without their film: each has a number in memory
 MAX_TRIED_FILMS = 100  # neighbours of results that may be their film
@@ -128,8 +129,8 @@ class OpenedResults:
             self._residuals[number] = {(k, x): off[p, k] for p, k, x in known if (p, k) in off}
         edited, residuals = edits.apply(tracks, number, film).tracks, self._residuals[number]
         keys = zip(edited.frame.tolist(), edited.x.tolist(), strict=True)
-        off = [residuals.get(key, (np.nan, np.nan)) for key in keys]
-        return list_columns(edited, camera, np.array(off).reshape(-1, 2))
+        metres = [residuals.get(key, (np.nan, np.nan)) for key in keys]
+        return list_columns(edited, camera, np.array(metres).reshape(-1, 2))
 
 
 def list_columns(tracks: Tracks, camera: Camera, metres: NDArray[Any]) -> list[dict[str, Any]]:
@@ -264,3 +265,64 @@ def _list_neighbours(folder: Path) -> list[Path]:
         with suppress(OSError):
             near += [path for path in islice(sorted(one.iterdir()), MAX_TRIED_FILMS) if path != folder]
     return near
+
+
+@dataclass(frozen=True, eq=False)
+class SearchedResiduals:
+    """The residuals that `discrepancy find` wrote, for the results that it searched."""
+
+    report: Path
+    searched: OpenedResults
+
+    @property
+    def is_there(self) -> bool:
+        """True if the search has written them."""
+        return (self.report / SEARCHED).is_file()
+
+    def describe(self, number: int) -> dict[str, Any]:
+        """Each model with its residuals of a clip: rms, um, and tracks; no model where the search left the clip out.
+
+        The rms is None where the tracks have no frame of the search, as after another run into the same folder.
+        held_out: whether the clip is one of those that the search kept for tests. Raises InputError.
+        """
+        tracks, camera = results.read_clip(self.searched.folder, number)
+        table = self._read(number)
+        if len(table) > MAX_POSITIONS:
+            raise InputError(f"search: {len(table)} positions, the page draws at most {MAX_POSITIONS}")
+        out: list[dict[str, Any]] = []
+        if len(table):
+            rows = _find_rows(tracks, camera.unproject(tracks.xy)[0], table)
+            kept, rows = table[rows >= 0], rows[rows >= 0]
+            names = results.load_json(self.report / "discrepancy.json").get("models", [])
+            for name, key in zip(names, ("base", "best"), strict=False):
+                metres = np.full((len(tracks), 2), np.nan)
+                metres[rows] = kept[[f"x_{key}", f"y_{key}"]]
+                shown = list_columns(tracks, camera, metres)
+                out.append({"name": name, "rms_um": _rms_um(metres), "tracks": shown})
+        return {"clip": number, "models": out, "held_out": bool(table["held_out"].any())}
+
+    def _read(self, number: int) -> pd.DataFrame:
+        file = self.report / SEARCHED
+        try:
+            return pd.read_parquet(file, filters=[("clip", "==", number)])
+        except (OSError, ValueError) as error:
+            raise InputError(f"{file}: expected the residuals of a search ({type(error).__name__})") from None
+
+
+def _rms_um(metres: NDArray[Any]) -> float | None:
+    if np.isnan(metres).all():
+        return None
+    return float(f"{1e6 * np.sqrt(np.nanmean(metres**2)):.3g}")
+
+
+def _find_rows(tracks: Tracks, metres: NDArray[Any], table: pd.DataFrame) -> NDArray[np.int64]:
+    """For each row of the table the nearest position of its frame in the tracks; -1 where the frame has none."""
+    order = np.argsort(tracks.frame, kind="stable")
+    frames, out = tracks.frame[order], np.full(len(table), -1)
+    wanted = table["frame"].to_numpy()
+    first, last = (np.searchsorted(frames, wanted, side=side) for side in ("left", "right"))
+    for k, xy in enumerate(table[["x", "y"]].to_numpy()):
+        here = order[first[k] : last[k]]
+        if len(here):
+            out[k] = here[np.argmin(((metres[here] - xy) ** 2).sum(axis=1))]
+    return out

@@ -1,24 +1,31 @@
-"""Pictures of scenes whose numbers are moved: asked of `synthcam serve`, which stays at work between the requests."""
+"""What the page asks of synthcam: pictures of scenes whose numbers are moved, and the example films."""
 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
 
 SERVER = (sys.executable, "-m", "synthcam", "serve")
+SCENES = ("oblique", "head_on", "tray")  # of the package, for the example films; each is drawn in seconds
+OPTIONS = ("--set", "camera.size=[480,360]", "--compression", "zstd", "--seed", "3")
 MAX_DRAWING_S = 60.0  # for one picture; then the process ends, so that the page does not wait for ever
 
 
 class ScenePreviews:
-    """One process that draws scenes, started at the first request. `ask` may be called from any thread."""
+    """One process, `synthcam serve`, that draws scenes, started at the first request.
+
+    `ask` may be called from any thread.
+    """
 
     def __init__(self, program: Sequence[str] = SERVER, patience_s: float = MAX_DRAWING_S) -> None:
         self._program, self._patience_s = program, patience_s
@@ -92,3 +99,18 @@ class ScenePreviews:
         with self._lock:
             if self._child is not None:
                 self._end()
+
+
+def make_examples() -> Path:
+    """The dataset of films for a user who has none, made once, into the user's cache. Raises InputError."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folder = cache / "synthcam" / "examples"
+    if not folder.exists():
+        print(f"tracker: making the example films in {folder}, once, in some seconds", file=sys.stderr, flush=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        words = [sys.executable, "-m", "synthcam", "generate", *SCENES, "-o", f"{folder}", *OPTIONS]
+        made = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False)
+        if made.returncode:
+            last = (made.stderr.strip().splitlines() or ["no message"])[-1]
+            raise InputError(f"{folder}: the example films could not be made ({last}); name a film of your own")
+    return folder

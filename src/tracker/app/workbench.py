@@ -23,7 +23,7 @@ from synthcam_shared.settings import build_settings
 from tracker.app.film_view import FilmView
 from tracker.app.frame_detector import PreparedDetector, list_balls, prepare_detector
 from tracker.app.mending import EditHistory
-from tracker.app.opened_results import OpenedResults, TracksAlone
+from tracker.app.opened_results import OpenedResults, SearchedResiduals, TracksAlone
 from tracker.app.run_settings import (
     KnownPoints,
     RunPlan,
@@ -34,7 +34,6 @@ from tracker.app.run_settings import (
     read_run_settings,
 )
 from tracker.app.scene_previews import ScenePreviews
-from tracker.app.searched_residuals import SearchedResiduals
 from tracker.app.track_process import RunStatus, TrackProcess
 from tracker.camera.camera_json import read_source
 from tracker.camera.frames import GREY

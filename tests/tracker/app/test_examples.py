@@ -6,7 +6,7 @@ import pytest
 from repository import ROOT
 
 from synthcam_shared.errors import InputError
-from tracker.app.examples import SCENES, make_examples
+from tracker.app.scene_previews import SCENES, make_examples
 
 
 def test_they_are_made_once(tmp_path, monkeypatch):

@@ -10,8 +10,7 @@ pytest.importorskip("starlette", reason="the extra app is not installed")
 
 from synthcam import Scene
 from synthcam_shared.errors import InputError
-from tracker.app.opened_results import OpenedResults, show_tracks_alone
-from tracker.app.searched_residuals import SearchedResiduals
+from tracker.app.opened_results import OpenedResults, SearchedResiduals, show_tracks_alone
 from tracker.app.workbench import OPENED, Workbench
 from tracker.pipeline import measure_tables
 from tracker.results import read_clip
