@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from discrepancy.effect_file import ParameterValue, render_formula_effect, render_table_effect
-from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.library import list_free_laws as free_laws
+from discrepancy.free_laws.ranges import Axis
 from discrepancy.free_laws.shapes import CONSTANT, FormulaTerm, LawShape, iterate_shapes
+from synthcam.effect import VECTOR_INPUTS
 from synthcam.library import check_name
 from synthcam.model import Model, list_model_settings, read_model, to_yaml
-from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TableKind, TabulatedLaw, kind_of
+from synthcam.tabulated_law import REFERENCE_SPEED_M_S, SEARCH_ONLY_LAWS, TableKind, TabulatedLaw, kind_of
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
+
+MAX_WIDTH = 110  # characters of a line
+ARGUMENT_NAMES = {"friction": "mu", "restitution": "r", "spin_transfer": "c", "rolling": "loss", "push": "acceleration"}
 
 
 @dataclass(frozen=True)
@@ -164,3 +168,198 @@ def _split_strengths(
         values.append((term, ParameterValue(term.name, strength, term.power)))
     low_enough = all(v >= 0 for v in base.values())
     return (values, base) if values and low_enough else None
+
+
+# --- The text of the file: one class, like the effects of synthcam
+
+
+@dataclass(frozen=True)
+class ParameterValue:
+    """A parameter by name, its value, and the power of the law's argument in its unit."""
+
+    name: str
+    value: float
+    power: float = 0.0
+
+
+def render_formula_effect(
+    name: str,
+    law: str,
+    strengths: Sequence[tuple[FormulaTerm, ParameterValue]],
+    shape: Sequence[ParameterValue],
+    source: Sequence[str],
+) -> str:
+    """Render the text of an effect file whose law is a formula.
+
+    law: the name of the free law in `synthcam.tabulated_law.table_names`. strengths: the terms that are added, each
+    times its strength, relative to a law that is one base parameter. shape: the numbers of the shape. source: the
+    origin of the law, in sentences.
+    """
+    kind, ball = kind_of(law)
+    relative, x, old = len(kind.owners) == 1, _argument_code(kind), ARGUMENT_NAMES[kind.law]
+    numbers = {v.name: f"self.{v.name}" for v in shape}
+    added = [f"self.{v.name} * {t.code.format(x=x, **numbers)}".removesuffix(" * 1") for t, v in strengths]
+    text = " + ".join(f"{v.name} {_term_text(t, x)}".strip() for t, v in strengths)
+    law_text = f"{old} [1 + {text}]" if relative else f"{old} + {text}"
+    unit = "1" if relative else kind.unit
+    parameters = [
+        f'{v.name}: float = parameter("{_unit_times(unit, kind.x_unit, -v.power)}", typical={abs(v.value) or 1.0:.3g})'
+        for _, v in strengths
+    ] + [_render_shape_parameter(v, kind) for v in shape]
+    doc = [f"{law_text}, {_describe_argument(kind, x)}.{_ball_sentence(ball)}", *source]
+    return _render_file(
+        name, f"{_make_title(kind)}, by a formula", doc, parameters, _render_method(kind, ball, added, relative)
+    )
+
+
+def render_table_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, float], source: Sequence[str]) -> str:
+    """Render the text of an effect file whose law is a table for `share` 1, and the base model for `share` 0.
+
+    numbers: the base parameters that the table replaces, as the model beside the effect has them; source: the origin of
+    the law, in sentences.
+    """
+    kind, ball = kind_of(held.law)
+    plain, x, old = held.to_settings(numbers), _argument_code(kind), ARGUMENT_NAMES[kind.law]
+    value = f"CURVE({f'{kind.what}[..., 0], {kind.what}[..., 1]' if kind.axis == 'place' else x})"
+    if _has_speed_part(kind):
+        value = f"({value} * np.stack([np.ones_like(speed), speed / {REFERENCE_SPEED_M_S:g}], axis=-1)).sum(axis=-1)"
+    base = [f"{numbers[n]!r}" + (f" * {x}" if power else "") for n, power in kind.owners]
+    added = f"self.share * ({' - '.join([value, *base])})" if base else f"self.share * {value}"
+    tables = [
+        f"X = {_render_tuple(plain['x'])}",
+        f"Y = {_render_tuple(plain['y'])}",
+        f"CURVE = SmoothTable(X, Y{', turn=True' if kind.axis == 'turn' else ''})",
+    ]
+    stands = " and ".join(f"{n} {v:.6g}" for n, v in numbers.items())
+    where = f"{kind.what}, {kind.x_unit}" if kind.axis == "place" else _describe_argument(kind, x)
+    doc = [
+        f"{old} as in the table Y, {kind.unit}, where share is 1: X {where}.{_ball_sentence(ball)}"
+        + (f" Share 0 is a base model of {stands}." if stands else ""),
+        *source,
+    ]
+    method = _render_method(kind, ball, [added], relative=False)
+    parameters = ['share: float = parameter("1", typical=1.0, default=1.0)']
+    return _render_file(name, f"{_make_title(kind)}, by a table", doc, parameters, method, tables)
+
+
+def _render_file(
+    name: str, title: str, doc: Sequence[str], parameters: Sequence[str], method: str, tables: Sequence[str] = ()
+) -> str:
+    """Render the whole file."""
+    plain = [
+        " ".join(d.split()).replace("\\", "/").replace('"', "'") for d in doc
+    ]  # the text of a report cannot end the docstring
+    text = "\n\n    ".join(textwrap.fill(d, MAX_WIDTH, subsequent_indent="    ") for d in plain)
+    imports = "import numpy as np\n\n" if "np." in method else ""
+    uses = "from synthcam.effect import Effect, parameter\n" + (
+        "from synthcam.table import SmoothTable\n" if tables else ""
+    )
+    head = "\n" + "\n".join(tables) + "\n" if tables else ""
+    own = "\n".join(f"    {p}" for p in parameters)
+    class_name = "".join(part.title() for part in name.split("_"))
+    return (
+        f'"""{title}."""\n\nfrom dataclasses import dataclass\nfrom typing import Any\n\n{imports}{uses}{head}\n\n'
+        f'@dataclass(frozen=True)\nclass {class_name}(Effect):\n    """{text}\n    """\n\n{own}\n\n{method}'
+    )
+
+
+def _render_method(kind: TableKind, ball: str, added: Sequence[str], relative: bool) -> str:
+    """Render the method that changes the law. added: code of the terms, relative to the law or absolute."""
+    old, sum_ = ARGUMENT_NAMES[kind.law], _join_terms(added)
+    asks = [kind.what, *["speed"] * _has_speed_part(kind), *["of_a"] * bool(ball)]
+    whose = {"a": "of_a", "b": "(1 - of_a)", "": ""}[ball]
+    sized = [f"speed = np.hypot({kind.what}[..., 0], {kind.what}[..., 1])"] if _is_vector_size(kind) else []
+    if kind.law == "push" and kind.axis == "line":
+        lines = [
+            f"force = {whose} * ({sum_})" if whose else f"force = {sum_}",
+            f"return np.asarray({old} + (force / np.maximum(speed, 1e-9))[..., None] * velocity)",
+        ]
+    elif kind.law == "push" and kind.axis == "turn":
+        lines = [
+            f"force = {sum_}",
+            "across = np.stack([-velocity[..., 1], velocity[..., 0]], axis=-1)",
+            f"return np.asarray({old} + force[..., :1] * velocity + force[..., 1:] * across)",
+        ]
+    elif kind.law == "push":
+        share = f"np.asarray({whose})[..., None] * " if whose else ""
+        lines = [f"return np.asarray({old} + {share}{sum_})"]
+    else:
+        sum_ = f"{whose} * ({sum_})" if whose else sum_
+        lines = [f"return {old} * (1 + {sum_})" if relative else f"return {old} + {sum_}"]
+    lines = sized + lines
+    own = "".join(f", {a}: Any" for a in asks)
+    return f"    def {kind.law}(self, {old}: Any{own}) -> Any:\n" + "".join(f"        {line}\n" for line in lines)
+
+
+def _join_terms(added: Sequence[str]) -> str:
+    """Join terms to a sum, on several lines if it is long."""
+    one = " + ".join(added)
+    return one if len(one) < MAX_WIDTH - 40 else "(\n            " + "\n            + ".join(added) + "\n        )"
+
+
+def _has_speed_part(kind: TableKind) -> bool:
+    """True for a sum of a constant and a term proportional to the speed."""
+    return kind.law == "rolling" and kind.parts == 2
+
+
+def _ball_sentence(ball: str) -> str:
+    return f" Of ball {ball} alone." if ball else ""
+
+
+def _argument_code(kind: TableKind) -> str:
+    """Code of x."""
+    if kind.axis == "turn":
+        return f"np.arctan2({kind.what}[..., 1], {kind.what}[..., 0])"
+    return "speed" if _is_vector_size(kind) else kind.what
+
+
+def _is_vector_size(kind: TableKind) -> bool:
+    """True if x is the length of a vector."""
+    return kind.axis == "line" and kind.what in VECTOR_INPUTS
+
+
+def _describe_argument(kind: TableKind, x: str) -> str:
+    if kind.axis == "turn":
+        return f"th the direction of the {kind.what.replace('_', ' ')}, rad"
+    return x if kind.x_unit == "1" else f"{x} in {kind.x_unit}"
+
+
+def _term_text(term: FormulaTerm, x: str) -> str:
+    """A term's code in the form of a formula."""
+    out = term.code.format_map(_Bare(x="th" if "arctan2" in x else x)).replace("np.", "").replace("maximum(", "max(")
+    return "" if out == "1" else out.replace(" ** ", "^").replace("**", "^").replace(" * ", " ")
+
+
+class _Bare(dict[str, str]):
+    """Leaves unknown names unchanged."""
+
+    def __missing__(self, key: str) -> str:
+        return key
+
+
+def _make_title(kind: TableKind) -> str:
+    word = {"push": "force over mass", "rolling": "rolling loss"}.get(kind.law, kind.law.replace("_", " "))
+    return f"{word.capitalize()} that depends on the {kind.what.replace('_', ' ')}"
+
+
+def _render_shape_parameter(v: ParameterValue, kind: TableKind) -> str:
+    # a tenth to ten times its value; exponents and negative numbers from -10 to 10
+    low, high = (v.value / 10, v.value * 10) if v.name != "power" and v.value > 0 else (-10.0, 10.0)
+    unit = _unit_times("1", kind.x_unit, v.power)
+    return f'{v.name}: float = parameter("{unit}", typical={v.value:.6g}, low={low:.6g}, high={high:.6g}, fixed=True)'
+
+
+def _unit_times(unit: str, x_unit: str, power: float) -> str:
+    """A unit times another to a power."""
+    if not power or x_unit in ("1", "rad"):
+        return unit
+    if power > 0:
+        times = x_unit if power == 1 else f"({x_unit})^{power:g}"
+        return times if unit == "1" else f"{unit} {times}"
+    less = f"({x_unit})" if power == -1 else f"({x_unit})^{-power:.3g}"
+    return f"{unit}/{less}"
+
+
+def _render_tuple(values: Sequence[object]) -> str:
+    text = ", ".join(repr(tuple(v) if isinstance(v, list) else v) for v in values)
+    return "(\n" + textwrap.fill(f"{text},", MAX_WIDTH, initial_indent="    ", subsequent_indent="    ") + "\n)"

@@ -1,8 +1,10 @@
-"""The outcome of a search, as data, from which sentences, pages and `discrepancy.json` are made."""
+"""The outcome of a search, as data, from which sentences, pages and `discrepancy.json` are made; and its verdict."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 from discrepancy.data.notes import SearchNote
 from discrepancy.fitting.model_fit import ModelFit
@@ -16,9 +18,44 @@ from discrepancy.select.library_search import InterruptedSearch
 from discrepancy.select.score_test import CandidateScore
 from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.gap import Gap, GapFits
-from discrepancy.validate.residual_map import Disagreement
-from discrepancy.verdict import Verdict, more_is_missing
+from discrepancy.validate.residual_map import Disagreement, is_unexplained
 from synthcam.model import Model
+
+
+class Verdict(StrEnum):
+    """The outcome of a search; docs/discrepancy.md explains each."""
+
+    NONE = "none"
+    NAMED = "named"
+    AMBIGUOUS = "ambiguous"
+    OUTSIDE_LIBRARY = "outside_library"
+    INADEQUATE = "inadequate"
+
+
+def decide_verdict(
+    claims: Sequence[EffectClaim],
+    has_law: bool,
+    left: Sequence[Disagreement],
+    rejected: Sequence[ClaimTest],
+    policy: SearchPolicy,
+) -> Verdict:
+    """Decide the verdict.
+
+    claims, has_law: the effects, and whether a free law, that passed; left: the disagreements that remain with them. A
+    rejected test below `unexplained_sigma` may be chance or a bad clip. It does not show that something is missing.
+    """
+    if has_law or (claims and more_is_missing(left, rejected, policy)):
+        return Verdict.OUTSIDE_LIBRARY
+    if not claims:
+        missing = is_unexplained(left, policy) or any(t.sigma > policy.unexplained_sigma for t in rejected)
+        return Verdict.INADEQUATE if missing else Verdict.NONE
+    return Verdict.AMBIGUOUS if any(len(c.aliases) > 1 for c in claims) else Verdict.NAMED
+
+
+def more_is_missing(left: Sequence[Disagreement], rejected: Sequence[ClaimTest], policy: SearchPolicy) -> bool:
+    """Tell, for the verdict, if more is missing than the claims explain, as a rejected significant free law shows."""
+    law_rejected = any(t.is_free_law and t.sigma > policy.unexplained_sigma for t in rejected)
+    return law_rejected or is_unexplained(left, policy)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

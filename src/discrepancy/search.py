@@ -17,15 +17,14 @@ from discrepancy.data.notes import SearchNote, SearchNoteKind, sort_notes
 from discrepancy.data.prior_processing import detect_processing
 from discrepancy.data.reading import read_collisions
 from discrepancy.data.study_design import note_uniform_conditions
-from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.fitting.base_fit import Progress, check_clips, fit_base_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.noise_refit import refit_noise
 from discrepancy.fitting.parameters import candidates_by_name
 from discrepancy.fitting.stretch_scatter import fit_scatter
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.free_laws.law_summary import LawSummary
-from discrepancy.free_laws.tabulate import tabulate_and_refit
+from discrepancy.free_laws.law_summary import LawSummary, tabulate_and_refit
+from discrepancy.outcome import Verdict, decide_verdict, more_is_missing
 from discrepancy.planning.pair_advice import advise_on_pair, compare_designs
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy
 from discrepancy.preparation import SearchData, prepare_data
@@ -36,12 +35,11 @@ from discrepancy.select.free_law_contest import select_effects_and_law
 from discrepancy.select.law_fit import fit_unseen_clips
 from discrepancy.select.library_fits import LibraryFits
 from discrepancy.select.library_search import InterruptedSearch, Selection, find_undetectable, make_selection
-from discrepancy.time_left import ONLY_LAWS
+from discrepancy.time_left import ONLY_LAWS, Deadline, OutOfTime
 from discrepancy.validate.claim_tests import HeldOutClips, ValidatedSelection, validate
 from discrepancy.validate.gap import GapFits, measure_gap
 from discrepancy.validate.outlier_clips import find_outlier_clips
 from discrepancy.validate.residual_map import find_disagreements
-from discrepancy.verdict import Verdict, decide_verdict, more_is_missing
 from synthcam.model import Model, as_model
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError

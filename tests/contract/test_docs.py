@@ -17,8 +17,8 @@ import typer
 from repository import ROOT
 
 from discrepancy.free_laws import laws, library
-from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import SeriesEffect
+from discrepancy.free_laws.ranges import Axis
 from discrepancy.policy import SearchPolicy
 from synthcam import tabulated_law
 from synthcam.scene.scene import check_scene

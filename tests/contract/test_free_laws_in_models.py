@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import SeriesEffect
 from discrepancy.free_laws.library import list_free_laws
+from discrepancy.free_laws.ranges import Axis
 from synthcam.effect import LAWS, VECTOR_INPUTS
 from synthcam.model import BASE_PARAMETERS, Model
 from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TABLE_KINDS, TabulatedLaw

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from discrepancy.fitting.gauss_newton import _interpolate, fit_model, minimise_chi2
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, parameter_limits, replace_within_limits
 from discrepancy.noise.model import Noise, NoiseComponent

@@ -24,6 +24,7 @@ from discrepancy.free_laws.library import free_laws_over
 from discrepancy.free_laws.marginal_likelihood import CurveEvidence
 from discrepancy.noise import model as noise
 from discrepancy.noise.model import Noise, NoiseComponent, estimate_noise
+from discrepancy.outcome import decide_verdict
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy, read_policy
 from discrepancy.select import free_law_contest, law_fit, library_search
 from discrepancy.select.effect_claim import EffectClaim
@@ -36,7 +37,6 @@ from discrepancy.validate.claim_tests import HeldOutClips, HeldOutTest, Rejectio
 from discrepancy.validate.gap import GapPhase, closed_share
 from discrepancy.validate.outlier_clips import find_outlier_clips
 from discrepancy.validate.residual_map import ClipAmplitudes, combine_clips
-from discrepancy.verdict import decide_verdict
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam.settings import InputError

@@ -4,10 +4,10 @@ import dataclasses
 from types import SimpleNamespace
 
 from discrepancy.fitting.stretch_scatter import StretchScatter
+from discrepancy.outcome import Verdict
 from discrepancy.select.contact_effects import ContactClaim, ContactNumber
 from discrepancy.validate.claim_tests import ClaimTest, HeldOutTest, Rejection, StrengthVariation
 from discrepancy.validate.residual_map import Disagreement
-from discrepancy.verdict import Verdict
 from discrepancy.wording import (
     describe_contacts,
     describe_disagreement,

@@ -15,7 +15,7 @@ from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import pad_spins
 from discrepancy.data.notes import SearchNote, SearchNoteKind
-from discrepancy.data.uneven_times import find_clock_start, measure_unevenness, move_to_even_times
+from discrepancy.data.track_checks import find_clock_start, measure_unevenness, move_to_even_times
 from discrepancy.policy import current_policy
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks

@@ -16,8 +16,7 @@ from discrepancy.data.first_guess import build_collision
 from discrepancy.data.launch import V0, equalise_launches
 from discrepancy.data.notes import SearchNote, SearchNoteKind, sort_notes
 from discrepancy.data.stretches import cut_crowd
-from discrepancy.data.track_checks import detect_wrong_units, find_exchange, remove_strays
-from discrepancy.data.uneven_times import note_uneven_times
+from discrepancy.data.track_checks import detect_wrong_units, find_exchange, note_uneven_times, remove_strays
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy
 from synthcam_shared.errors import InputError as InputError
 from synthcam_shared.jobs import run_all_jobs, yield_in_order

@@ -17,8 +17,7 @@ from scipy.optimize import lsq_linear
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import is_possible_launch, limit_spins
-from discrepancy.fitting.jacobian import coupling_effects
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import coupling_effects, linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import replace_within_limits
 from discrepancy.fitting.predict import predict_tracks

@@ -23,8 +23,7 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.jacobian import differentiate_tracks
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.fitting.response import ResponseSegment, compute_responses
-from discrepancy.free_laws.axis import Axis
-from discrepancy.free_laws.ranges import CoveredRanges, over_clips
+from discrepancy.free_laws.ranges import Axis, CoveredRanges, over_clips
 from synthcam.effect import LAWS, VECTOR_INPUTS
 from synthcam.model import Model
 from synthcam.tabulated_law import REFERENCE_SPEED_M_S, AddedLaw, TabulatedLaw

@@ -12,7 +12,7 @@ from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
 from discrepancy.fitting.base_fit import CLAIMED_NOISE
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.predict import predict_tracks, predict_velocities
 from discrepancy.noise.model import Noise

@@ -10,10 +10,8 @@ import numpy as np
 
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.outcome import SearchOutcome
-from discrepancy.report.document import to_document
+from discrepancy.report.document import tabulate_residuals, to_document
 from discrepancy.report.figures import draw_search_figures, list_models, name_best_model
-from discrepancy.report.narrative import format_chi2, format_sigma, write_story
-from discrepancy.report.residual_table import tabulate_residuals
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.residual_map import Disagreement, is_unexplained
@@ -23,6 +21,9 @@ from discrepancy.wording import (
     describe_rejection,
     describe_search,
     describe_verdict,
+    format_chi2,
+    format_sigma,
+    write_story,
 )
 from synthcam.model import Model, write_model
 from synthcam_shared.report.folder import replace_folder

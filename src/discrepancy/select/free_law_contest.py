@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from discrepancy.fitting.gauss_newton import minimise_chi2
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate
 from discrepancy.free_laws.fitted_law import FittedLaw

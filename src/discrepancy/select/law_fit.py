@@ -13,7 +13,7 @@ from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import is_possible_launch
 from discrepancy.fitting.gauss_newton import STEP_ERRORS, fit_model, minimise_chi2, solve_step
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, replace_within_limits
 from discrepancy.free_laws.credible_band import gain_of_steps

@@ -9,8 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 import numpy as np
 
 from discrepancy.fitting.gauss_newton import choose_most_likely, minimise_chi2, take_one_step
-from discrepancy.fitting.jacobian import differentiate_all
-from discrepancy.fitting.linearise import linearise, zero_unidentifiable_shapes
+from discrepancy.fitting.jacobian import differentiate_all, linearise, zero_unidentifiable_shapes
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, find_parameter, parameter_limits
 from discrepancy.fitting.predict import predict_tracks

@@ -12,7 +12,7 @@ import numpy as np
 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.gauss_newton import minimise_chi2
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import Candidate, candidates_by_name
 from discrepancy.fitting.significance import explains_too_little

@@ -15,8 +15,7 @@ from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.jacobian import differentiate_tracks
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import differentiate_tracks, linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips, project_out
 from discrepancy.fitting.parameters import candidates_by_name, parameter_limits
 from discrepancy.fitting.significance import chi2_to_sigma, explains_too_little

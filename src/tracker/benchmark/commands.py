@@ -109,7 +109,7 @@ def submit(
 
     Example: tracker benchmark submit out/suite my_tables -o out/benchmark
     """
-    from tracker.benchmark.submission import score_submission
+    from tracker.benchmark.contest import score_submission
     from tracker.benchmark.suite.folder import check_truth, open_suite
 
     with progress_bar("films") as progress:

@@ -9,8 +9,7 @@ from discrepancy_clips import absorbable, collisions, exact, noisy, unabsorbed
 from scipy.stats import chi2 as chi2_law
 
 from discrepancy.fitting.gauss_newton import fit_model, minimise_chi2, solve_step
-from discrepancy.fitting.jacobian import differentiate_launches, differentiate_tracks
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import differentiate_launches, differentiate_tracks, linearise
 from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, parameter_limits
 from discrepancy.fitting.predict import predict_tracks

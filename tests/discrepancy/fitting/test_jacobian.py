@@ -6,8 +6,7 @@ from discrepancy_clips import exact
 
 from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting import jacobian
-from discrepancy.fitting.jacobian import differentiate_all, differentiate_launches
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import differentiate_all, differentiate_launches, linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.fitting.predict import predict_tracks

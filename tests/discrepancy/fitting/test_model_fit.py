@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact
 
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent

@@ -10,8 +10,7 @@ from scipy.stats import binom, norm
 
 from discrepancy.data.launch import V0, B
 from discrepancy.fitting.gauss_newton import solve_step
-from discrepancy.fitting.jacobian import differentiate_tracks
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import differentiate_tracks, linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.free_laws.credible_band import NormalMixture, _fit_steps, gain_of_steps

@@ -9,9 +9,9 @@ from discrepancy_laws import with_constant
 
 from discrepancy.data.launch import V0, B
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import ImpactLaw, MotionLaw
 from discrepancy.free_laws.library import free_laws_over
+from discrepancy.free_laws.ranges import Axis
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam_shared.errors import PluginError

@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
-from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.library import list_free_laws
 from discrepancy.free_laws.marginal_likelihood import (
     PRIOR_LENGTHS,
@@ -15,6 +14,7 @@ from discrepancy.free_laws.marginal_likelihood import (
     cost_of_strengths,
     maximise_evidence,
 )
+from discrepancy.free_laws.ranges import Axis
 
 LAWS = {law.base_name: law for law in list_free_laws()}
 LAW = dataclasses.replace(LAWS["restitution_speed"], axes=(Axis("normal speed", "m/s", 0.1, 0.6, 8),))

@@ -11,7 +11,7 @@ from discrepancy_outsiders import OUTSIDERS, outsider
 
 from discrepancy.report import search_page as report
 from discrepancy.report.figures import _fits_to_draw, _gap_by_phase_figure, draw_search_figures, name_best_model
-from discrepancy.report.narrative import write_story
+from discrepancy.wording import write_story
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
 

@@ -12,7 +12,7 @@ from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates, list_names_to_fit
 from discrepancy.noise.model import estimate_noise
 from discrepancy.policy import current_policy

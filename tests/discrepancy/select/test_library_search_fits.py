@@ -8,7 +8,7 @@ from discrepancy_clips import collisions, exact, noisy, only
 from discrepancy_selected import library_fits, selected
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.noise.model import estimate_noise
 from discrepancy.policy import SearchPolicy, applied_policy

@@ -5,7 +5,7 @@ import pytest
 from discrepancy_clips import collisions
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.linearise import linearise
+from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, find_parameter
 from discrepancy.noise.model import Noise, NoiseComponent

@@ -8,9 +8,8 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import FreeLaw
-from discrepancy.free_laws.ranges import CoveredRanges, over_plane
+from discrepancy.free_laws.ranges import Axis, CoveredRanges, over_plane
 from synthcam.model import Model
 
 

@@ -21,8 +21,8 @@ from tracker.benchmark.report.figures import (
     name_tracker,
 )
 from tracker.benchmark.report.leaderboard import make_leaderboard_row
-from tracker.benchmark.suite.card import CITATION
 from tracker.benchmark.suite.definition import SuiteDefinition
+from tracker.benchmark.suite.make import CITATION
 from tracker.report.quantities import QUANTITIES
 
 Entries = Sequence[Mapping[str, Any]]

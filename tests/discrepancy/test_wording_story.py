@@ -10,7 +10,7 @@ from discrepancy_outsiders import outsider
 from discrepancy.fitting.gauss_newton import fit_model, solve_step
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.report.narrative import gain_of_next_step, write_story
+from discrepancy.wording import gain_of_next_step, write_story
 from synthcam.model import Model
 
 

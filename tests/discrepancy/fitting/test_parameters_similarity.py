@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from discrepancy.fitting.parameters import list_candidates, list_names_to_fit
-from discrepancy.fitting.similarity import scale_parameter
+from discrepancy.fitting.parameters import list_candidates, list_names_to_fit, scale_parameter
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.library import library

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from tracker.scoring.error_figures import draw_error_bars
+from tracker.scoring.score_page import draw_error_bars
 
 
 def test_a_kind_of_estimate_without_a_value_has_a_panel_that_says_so():

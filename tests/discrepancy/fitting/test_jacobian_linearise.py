@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from discrepancy.fitting.linearise import zero_unidentifiable_shapes
+from discrepancy.fitting.jacobian import zero_unidentifiable_shapes
 from discrepancy.fitting.parameters import list_candidates
 from synthcam.model import Model
 

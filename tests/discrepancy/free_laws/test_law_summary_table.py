@@ -8,7 +8,7 @@ from discrepancy_clips import collisions, only
 from discrepancy_outsiders import OUTSIDERS, each_outsider, outsider
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.free_laws.tabulate import tabulate_and_refit
+from discrepancy.free_laws.law_summary import tabulate_and_refit
 from discrepancy.search import search
 from synthcam.library import library
 from synthcam.model import Model, read_model, write_model

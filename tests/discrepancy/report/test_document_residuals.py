@@ -8,7 +8,7 @@ from discrepancy_clips import STD, searched
 from discrepancy_outsiders import outsider
 
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.report.residual_table import tabulate_residuals
+from discrepancy.report.document import tabulate_residuals
 
 
 def rms(table, model):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from discrepancy_clips import HIDDEN, collisions, only, searched
 
-from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
-from discrepancy.report.narrative import write_story
 from discrepancy.search import search
+from discrepancy.time_left import Deadline, OutOfTime
+from discrepancy.wording import write_story
 from synthcam.model import Model
 
 
@@ -71,7 +71,7 @@ def test_nothing_hidden_is_nothing_found_however_short_the_time(monkeypatch):
 def test_what_score_tests_show_is_not_nothing_however_short_the_time(monkeypatch):
     """No residual is significant by itself, but the signature of an effect is."""
     only(monkeypatch)
-    monkeypatch.setattr("discrepancy.verdict.is_unexplained", lambda where, policy: False)
+    monkeypatch.setattr("discrepancy.outcome.is_unexplained", lambda where, policy: False)
     clips = collisions(Model().replace(HIDDEN["velocity_restitution"]), 8, 3)
     assert search(clips, Model(), seconds=0.0).verdict == "inadequate"
     assert search(collisions(Model(), 8, 3), Model(), seconds=0.0).verdict == "none"

@@ -9,8 +9,8 @@ import pytest
 from benchmark_suite import Given, noisy, simulated, suite
 
 from synthcam_shared.errors import InputError
+from tracker.benchmark.contest import read_submission_form, score_submission
 from tracker.benchmark.report.leaderboard import write_entry
-from tracker.benchmark.submission import read_submission_form, score_submission
 from tracker.cli import main
 
 

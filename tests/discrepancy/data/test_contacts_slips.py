@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from discrepancy.data.side_spins import trace_slips
+from discrepancy.data.contacts import trace_slips
 from synthcam import Scene
 
 AXES = (("1i", "j", "before"), ("2i", "i", "before"), ("1o", "j", "after"), ("2o", "i", "after"))
