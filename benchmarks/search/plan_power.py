@@ -67,7 +67,7 @@ def score(results: list[tracker.Result], model: Model, effect: str) -> float:
     clips, _ = read_collisions(results)
     fitted, _ = split_held_out(clips)
     noise = estimate_noise(fitted)
-    base, evidence = fit_base_model(fitted, model, noise, lambda stage: None), WhitenedClips.of(fitted, noise)
+    base, evidence = fit_base_model(fitted, model, noise), WhitenedClips.of(fitted, noise)
     only = [c for c in list_candidates(base.model, base.names) if c.name == effect]
     tests = ScoreTests.of(evidence, base, only=only)
     return tests.sharper(evidence, tests.ranking()[0]).sigma

@@ -13,13 +13,4 @@ from .wording import describe_rejection as describe_rejection
 from .wording import describe_search as describe_search
 
 __version__: str
-__all__ = [
-    "Finding",
-    "InputError",
-    "Plan",
-    "SearchPolicy",
-    "SearchResult",
-    "__version__",
-    "find",
-    "plan",
-]
+__all__ = ["Finding", "InputError", "Plan", "SearchPolicy", "SearchResult", "__version__", "find", "plan"]

@@ -10,12 +10,7 @@ import numpy as np
 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.outlier_points import note_removed_points, remove_outliers
-from discrepancy.fitting.base_fit import (
-    Progress,
-    check_clips,
-    fit_base_model,
-    remove_outliers_beside_model,
-)
+from discrepancy.fitting.base_fit import check_clips, fit_base_model, remove_outliers_beside_model
 from discrepancy.fitting.gauss_newton import minimise_chi2
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.significance import chi2_to_sigma
@@ -24,6 +19,7 @@ from discrepancy.policy import current_policy
 from discrepancy.select.effect_claim import EffectClaim, profile_std
 from discrepancy.select.library_fits import fit_with_candidate
 from discrepancy.select.score_test import ScoreTests
+from discrepancy.time_left import Progress, in_stage, showing_stages
 from discrepancy.wording import describe_claim
 from synthcam.library import library
 from synthcam.model import Model
@@ -50,11 +46,9 @@ class AddedEffect:
     def sentence(self) -> str:
         """Its strength, and the change of chi^2."""
         one, other = self.chi2
-        poor = (
-            "; the model still lacks something, so its error is too small"
-            if other > current_policy().poor_chi2_per_dof
-            else ""
-        )
+        poor = ""
+        if other > current_policy().poor_chi2_per_dof:
+            poor = "; the model still lacks something, so its error is too small"
         return (
             f"{describe_claim(self.named, self.before.model)}; chi^2 per degree of freedom falls from {one:.4g} to "
             f"{other:.4g} on the fitted collisions{poor}"
@@ -89,29 +83,29 @@ def add(
     them.
     """
     check_effect(effect)
-    clips = check_clips(clips, model)
-    progress("noise")
-    given, (clips, _) = clips, remove_outliers_beside_model(remove_outliers(clips), [], model, progress)
-    noise = estimate_noise(clips)
-    evidence, base = WhitenedClips.of(clips, noise), fit_base_model(clips, model, noise, progress)
-    if any(n.startswith(f"{effect}.") for n in base.names):
-        raise InputError(f"{effect}: the model declares it free; run `discrepancy find` to see its fitted value")
-    tests = ScoreTests.of(evidence, base, lambda: progress("search"))
+    given = check_clips(clips, model)
+    with showing_stages(progress), in_stage("noise"):
+        clips, _ = remove_outliers_beside_model(remove_outliers(given), [], model)
+        noise = estimate_noise(clips)
+        evidence, base = WhitenedClips.of(clips, noise), fit_base_model(clips, model, noise)
+        if any(n.startswith(f"{effect}.") for n in base.names):
+            raise InputError(f"{effect}: the model declares it free; run `discrepancy find` to see its fitted value")
+        with in_stage("search"):
+            fit, claim = _fit_effect(evidence, base, effect)
+    return AddedEffect(base, fit, claim, tuple(map(str, note_removed_points(given, clips))))
+
+
+def _fit_effect(evidence: WhitenedClips, base: ModelFit, effect: str) -> tuple[ModelFit, EffectClaim]:
+    """Fit an effect with everything in the base fit. Raises InputError where it is not identifiable."""
+    tests = ScoreTests.of(evidence, base)
     scored = next((c for c in tests.ranking() if c.effect == effect), None)
     if scored is None or not scored.identifiable:
-        far = base.chi2 / (base.points - base.parameters)
-        why = (
-            f"; without it chi^2 per degree of freedom is {far:.3g}: a larger effect is missing"
-            if far > current_policy().poor_chi2_per_dof
-            else ""
-        )
+        far, why = base.chi2 / (base.points - base.parameters), ""
+        if far > current_policy().poor_chi2_per_dof:
+            why = f"; without it chi^2 per degree of freedom is {far:.3g}: a larger effect is missing"
         raise InputError(f"{effect}: not identifiable from these collisions: absorbed by the fit, or too small{why}")
-    candidate, best = scored.candidate, tests.sharper(evidence, scored)
-    fit = minimise_chi2(
-        evidence, fit_with_candidate(evidence, base, best, lambda: progress("search")), lambda: progress("search")
-    )
+    candidate = scored.candidate
+    fit = minimise_chi2(evidence, fit_with_candidate(evidence, base, tests.sharper(evidence, scored)))
     sigma = chi2_to_sigma(base.chi2 - fit.chi2, len(candidate.strengths), tests.trials_factors[effect])
     std = fit.std | profile_std(evidence, base, fit, candidate)
-    return AddedEffect(
-        base, fit, EffectClaim.of(candidate, fit, std, sigma), tuple(map(str, note_removed_points(given, clips)))
-    )
+    return fit, EffectClaim.of(candidate, fit, std, sigma)

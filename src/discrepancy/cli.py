@@ -227,10 +227,7 @@ def plan(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to write.")],
     effects: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Separated by commas (default: all), or a folder with your own effects.",
-        ),
+        typer.Option(metavar="NAMES", help="Separated by commas (default: all), or a folder with your own effects."),
     ] = None,
     model: Annotated[
         Path | None, typer.Option(metavar="MODEL.yaml", help="Model that replaces the scene's physics.")

@@ -14,7 +14,7 @@ from discrepancy.data.outlier_points import note_removed_points, remove_outliers
 from discrepancy.data.prior_processing import covers_contact, remove_filtered_rows
 from discrepancy.data.stretches import cut_stretches
 from discrepancy.data.study_design import split_held_out
-from discrepancy.fitting.base_fit import Progress, fit_base_model, remove_outliers_beside_model
+from discrepancy.fitting.base_fit import fit_base_model, remove_outliers_beside_model
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.noise_refit import refit_noise
@@ -23,6 +23,7 @@ from discrepancy.fitting.stretch_starts import choose_starts
 from discrepancy.noise.error_trends import remove_frame_shift, rescale_errors
 from discrepancy.noise.model import Noise, estimate_noise
 from discrepancy.policy import current_policy
+from discrepancy.time_left import in_stage
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
 
@@ -66,9 +67,8 @@ class SearchData:
         return replace(self, clips=tuple(clips), held_out=tuple(held_out), scatter=scatter)
 
 
-def prepare_data(
-    clips: Sequence[MeasuredCollision], model: Model, progress: Progress, stretches: bool = False
-) -> SearchData:
+@in_stage("noise")
+def prepare_data(clips: Sequence[MeasuredCollision], model: Model, stretches: bool = False) -> SearchData:
     """Remove outliers, hold some clips out, and estimate the noise of the others.
 
     stretches: cut each clip into its free stretches after some clips are held out, so that these share none.
@@ -77,7 +77,6 @@ def prepare_data(
     comes before any claim, because a claim could absorb underestimated noise. If the tracks were smoothed, the stage
     removes the parts that the filter has moved instead.
     """
-    progress("noise")
     cleaned = remove_outliers(clips)
     fitted, held_out = split_held_out(cleaned)
     if not stretches and estimate_noise(fitted).is_smoothed:
@@ -91,13 +90,13 @@ def prepare_data(
             raise InputError("no clip has free stretches that are long enough, before or after a contact")
         (fitted, odd), (held_out, odd_too) = choose_starts(fitted, model), choose_starts(held_out, model)
         odd += odd_too
-    fitted, held_out = remove_outliers_beside_model(fitted, held_out, model, progress)
+    fitted, held_out = remove_outliers_beside_model(fitted, held_out, model)
     noise = estimate_noise(fitted)
     every, trends = rescale_errors([*fitted, *held_out], fitted, noise)
     if trends:
         fitted, held_out = every[: len(fitted)], every[len(fitted) :]
         noise, error_notes = estimate_noise(fitted), [*error_notes, *trends]
-    base = fit_base_model(fitted, model, noise, progress)
+    base = fit_base_model(fitted, model, noise)
     scatter = fit_scatter(fitted, base, noise) if stretches else NO_SCATTER
     if scatter.is_none:
         noise = refit_noise(fitted, base, noise, explained=False) or noise

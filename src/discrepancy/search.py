@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +16,7 @@ from discrepancy.data.notes import SearchNote, SearchNoteKind, sort_notes
 from discrepancy.data.prior_processing import detect_processing
 from discrepancy.data.reading import read_collisions
 from discrepancy.data.study_design import note_uniform_conditions
-from discrepancy.fitting.base_fit import Progress, check_clips, fit_base_model
+from discrepancy.fitting.base_fit import check_clips, fit_base_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.noise_refit import refit_noise
 from discrepancy.fitting.parameters import candidates_by_name
@@ -35,7 +34,7 @@ from discrepancy.select.free_law_contest import select_effects_and_law
 from discrepancy.select.law_fit import fit_unseen_clips
 from discrepancy.select.library_fits import LibraryFits
 from discrepancy.select.library_search import InterruptedSearch, Selection, find_undetectable, make_selection
-from discrepancy.time_left import ONLY_LAWS, Deadline, OutOfTime
+from discrepancy.time_left import ONLY_LAWS, Deadline, OutOfTime, Progress, in_stage, showing_stages
 from discrepancy.validate.claim_tests import HeldOutClips, ValidatedSelection, validate
 from discrepancy.validate.gap import GapFits, measure_gap
 from discrepancy.validate.outlier_clips import find_outlier_clips
@@ -125,17 +124,19 @@ def search(
     stretches: the evidence is each free stretch between contacts, with a start of its own. contacts: the evidence on
     the impact, from `read_contacts`. The policy is that of the context (`applied_policy`). See `find`.
     """
-    with threadpool_limits(1, "blas"):  # matrices here are small: threads wait for one another longer than they work
+    with (
+        showing_stages(progress),
+        threadpool_limits(1, "blas"),
+    ):  # matrices are small: threads would wait for one another
         clips = check_clips(clips, model)
-        data = prepare_data(clips, model, progress, stretches)
-        data, library, selection = select_until_stable(data, model, Deadline(progress, seconds))
-        progress("gap")
-        data, gap = measure_held_out_gap(data, selection, progress)
+        data = prepare_data(clips, model, stretches)
+        data, library, selection = select_until_stable(data, model, Deadline(seconds))
+        data, gap = measure_held_out_gap(data, selection)
         validated = ValidatedSelection(selection)
         if not (data.is_smoothed or selection.interrupted):
             held_out = HeldOutClips(data.held_out, data.noise, gap.before)
-            validated = validate(selection, library, held_out, lambda: progress("gap"))
-        result = finish_search(clips, data, validated, library, gap, progress)
+            validated = validate(selection, library, held_out)
+        result = finish_search(clips, data, validated, library, gap)
         given = sort_notes(notes)
         return replace(
             result,
@@ -187,15 +188,15 @@ def select_until_stable(
 def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[LibraryFits, Selection]:
     """Run the stage of selection: fit the base model, then select effects, and a free law if one explains more."""
     evidence = WhitenedClips.of(data.clips, data.noise)
-    base = fit_base_model(data.clips, model, data.noise, deadline)
-    library = LibraryFits(evidence, base, lambda: deadline("search"))
+    base = fit_base_model(data.clips, model, data.noise)
+    library = LibraryFits(evidence, base)
     if data.is_smoothed:
         return library, make_selection(library, ())
     is_significant = any(test.sigma > library.required_sigma for test in library.ranking[:1])
     stage = "free laws" if is_significant else ONLY_LAWS
     try:
-        with deadline.limited():
-            return library, select_effects_and_law(library, lambda: deadline(stage))
+        with deadline.limited(), in_stage(stage):
+            return library, select_effects_and_law(library)
     except OutOfTime:
         best = min(library.fits, key=library.cost_of)
         effects = tuple(sorted(c.name for c in best))
@@ -203,24 +204,24 @@ def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[LibraryF
         return library, replace(make_selection(library, ()), interrupted=interrupted)
 
 
-def measure_held_out_gap(data: SearchData, selection: Selection, progress: Progress) -> tuple[SearchData, GapFits]:
+@in_stage("gap")
+def measure_held_out_gap(data: SearchData, selection: Selection) -> tuple[SearchData, GapFits]:
     """Run the stage that measures the gap on held-out clips, without clips that deviate from all others."""
-    gap = _measure_gap(data, selection, progress)
+    gap = _measure_gap(data, selection)
     outliers = find_outlier_clips(data.held_out, gap.before, gap.after, are_held_out=True)
     if not outliers:
         return data, gap
     kept = tuple(c for k, c in enumerate(data.held_out) if k not in outliers)
     notes = [replace(note, values=note.values | {"held_out": " (held out)"}) for note in outliers.values()]
     data = replace(data, held_out=kept, left_out=(*data.left_out, *notes))
-    return data, _measure_gap(data, selection, progress)
+    return data, _measure_gap(data, selection)
 
 
-def _measure_gap(data: SearchData, selection: Selection, progress: Progress) -> GapFits:
+def _measure_gap(data: SearchData, selection: Selection) -> GapFits:
     law, clips = selection.free_law, data.held_out
     fit_law = None if law is None else lambda before: fit_unseen_clips(law, clips, before, data.noise)
-    show_gap = partial(progress, "gap")
     try:
-        return measure_gap(clips, selection.base, selection.best, data.noise, show_gap, fit_law)
+        return measure_gap(clips, selection.base, selection.best, data.noise, fit_law)
     except ValueError as e:
         raise InputError(f"the fitted base model has no motion for the held-out collisions: {e}") from None
 
@@ -231,22 +232,22 @@ def finish_search(
     validated: ValidatedSelection,
     library: LibraryFits,
     gap: GapFits,
-    progress: Progress,
 ) -> SearchResult:
     """Run the last stage of a search: decide the verdict, and collect the data that the report needs.
 
     clips: all clips, before outliers are removed; gap: that of the selection before the validation.
     """
     selection, law, policy = validated.selection, validated.selection.free_law, current_policy()
-    if validated.rejected:
-        gap = _measure_gap(data, selection, progress)
-    with_table = tabulate_and_refit(law, lambda: progress("gap")) if law else None
-    if with_table:
-        gap = measure_gap(data.held_out, selection.base, with_table, data.noise, lambda: progress("gap"))
-    progress("where")
-    before = left = find_disagreements(data.clips, selection.base, data.noise)
-    if not selection.is_empty:
-        left = find_disagreements(selection.explained_clips(data.clips), selection.joint_fit, data.noise)
+    with in_stage("gap"):
+        if validated.rejected:
+            gap = _measure_gap(data, selection)
+        with_table = tabulate_and_refit(law) if law else None
+        if with_table:
+            gap = measure_gap(data.held_out, selection.base, with_table, data.noise)
+    with in_stage("where"):
+        before = left = find_disagreements(data.clips, selection.base, data.noise)
+        if not selection.is_empty:
+            left = find_disagreements(selection.explained_clips(data.clips), selection.joint_fit, data.noise)
     more = more_is_missing(left, validated.rejected, policy)
     claims = validated.claims_by_scatter(data.is_cut) if more or data.is_cut else validated.claims
     verdict = decide_verdict(claims, law is not None, left, validated.rejected, policy)

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 
+Progress = Callable[[str], None]  # takes the name of the stage that runs
 ONLY_LAWS = "only free laws"  # the stage "free laws" where no effect of the library is significant
 LIMITED_STAGES = ("search", "free laws", ONLY_LAWS)  # --minutes limits these; the others take seconds
 
@@ -77,38 +78,57 @@ class OutOfTime(Exception):
     """The time is over."""
 
 
-_running: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
-
-
-def check_deadline() -> None:
-    """Raise OutOfTime if an active deadline is over. Each prediction calls this, since some take a minute."""
-    deadline = _running.get()
-    if deadline is not None and deadline.over:
-        raise OutOfTime
-
-
+@dataclass(frozen=True)
 class Deadline:
-    """A progress callback that raises OutOfTime inside `limited`, once `seconds` have passed since it was made."""
+    """The end of the time of a search, `seconds` after this is made."""
 
-    def __init__(self, progress: Callable[[str], None], seconds: float = math.inf) -> None:
-        self.progress, self.seconds = progress, seconds
-        self.end, self.counts = time.monotonic() + seconds, False
-
-    def __call__(self, stage: str) -> None:
-        self.progress(stage)
-        if self.counts and self.over:
-            raise OutOfTime
-
-    @property
-    def over(self) -> bool:
-        return time.monotonic() > self.end
+    seconds: float = math.inf
+    began: float = field(default_factory=time.monotonic)
 
     @contextmanager
     def limited(self) -> Iterator[None]:
         """The context in which the time limit is active; code outside it is never cut short."""
-        self.counts, before = True, _running.set(self)
+        before = _deadline.set(self)
         try:
             yield
         finally:
-            self.counts = False
-            _running.reset(before)
+            _deadline.reset(before)
+
+
+_deadline: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
+_shown: ContextVar[tuple[Progress, str]] = ContextVar("shown", default=(lambda stage: None, ""))
+
+
+@contextmanager
+def showing_stages(progress: Progress) -> Iterator[None]:
+    """The context in which the stages of a search, an added effect or a plan are shown by this function."""
+    before = _shown.set((progress, ""))
+    try:
+        yield
+    finally:
+        _shown.reset(before)
+
+
+@contextmanager
+def in_stage(name: str) -> Iterator[None]:
+    """The context, or the function as a decorator, that belongs to a stage; the stage around it goes on after it."""
+    progress, _ = _shown.get()
+    before = _shown.set((progress, name))
+    progress(name)
+    try:
+        yield
+    finally:
+        _shown.reset(before)
+
+
+def report_progress() -> None:
+    """Show that the stage goes on, and raise OutOfTime if an active deadline is over.
+
+    Each prediction calls this. So the functions in between pass neither a deadline nor a callback.
+    """
+    progress, name = _shown.get()
+    if name:
+        progress(name)
+    deadline = _deadline.get()
+    if deadline is not None and time.monotonic() > deadline.began + deadline.seconds:
+        raise OutOfTime

@@ -324,7 +324,7 @@ def beside_law(monkeypatch, sigma=30.0, less=500.0, others=(), from_zero=9.0):
     library = Made(absorbed=(), evidence=None, required_sigma=4.0, correct_for_trials=lambda effect, sigma: sigma)
     level = SearchPolicy().beside_free_law_sigma
     selected = selection(base=base, free_law=law)
-    (test, _), without, claims = claim_tests._test_beside_law(selected, law, library, HELD_OUT, level, lambda: None)
+    (test, _), without, claims = claim_tests._test_beside_law(selected, law, library, HELD_OUT, level)
     return test, without["rolling_quadratic"].free_law, claims[0].aliases
 
 
@@ -362,7 +362,7 @@ def claim_alone(monkeypatch, end=None, from_zero=9.0, is_stretch=False, level=4.
     monkeypatch.setattr(claim_tests, "find_strength_variation", lambda *_: Made(rejects=lambda sigma: False))
     selected = selection(state=(Made(name="hop", strengths=()),))
     library = Made(evidence=Made(clips=[Made(is_stretch=is_stretch)]), required_sigma=4.2)
-    (test,), *_ = claim_tests._test_effects(selected, library, HELD_OUT, level, lambda: None)
+    (test,), *_ = claim_tests._test_effects(selected, library, HELD_OUT, level)
     return test
 
 
@@ -407,7 +407,7 @@ def test_twenty_sigma_are_asked_beside_what_is_unknown_and_where_a_law_was_rejec
     monkeypatch.setattr(claim_tests, "find_disagreements", lambda *_: (Made(sigma=left),))
 
     def tests(*arguments):
-        selected, level = arguments[0], arguments[-2]
+        selected, level = arguments[0], arguments[-1]
         asked.append(level)
         again = len(asked) > 1
         test = made_test("y" if again else "x", None if again else WORSE, free)
@@ -415,7 +415,7 @@ def test_twenty_sigma_are_asked_beside_what_is_unknown_and_where_a_law_was_rejec
 
     for name in ("_test_effects", "_test_beside_law"):
         monkeypatch.setattr(claim_tests, name, tests)
-    validated = validate(selection(state=("effect",), free_law=law), LIBRARY, HELD_OUT, lambda: None)
+    validated = validate(selection(state=("effect",), free_law=law), LIBRARY, HELD_OUT)
     assert asked == levels
     assert len(validated.rejected) == 1
 
@@ -454,7 +454,7 @@ def validated_of(monkeypatch, turns, gone=None):
             return selection(free_law="law")
 
     monkeypatch.setattr(claim_tests, "_test_beside_law", lambda *_: (next(turns), Without(), ()))
-    return validate(selection(free_law="law"), LIBRARY, HELD_OUT, lambda: None)
+    return validate(selection(free_law="law"), LIBRARY, HELD_OUT)
 
 
 @pytest.mark.parametrize(("sigma", "told"), [(2.0, False), (4.5, True)])

@@ -7,30 +7,33 @@ from discrepancy_clips import HIDDEN, collisions, only, searched
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.search import search
-from discrepancy.time_left import Deadline, OutOfTime
+from discrepancy.time_left import Deadline, OutOfTime, in_stage, report_progress, showing_stages
 from discrepancy.wording import write_story
 from synthcam.model import Model
 
 
 def test_the_time_counts_only_where_it_is_limited():
     told = []
-    spent, ample = Deadline(told.append, -1.0), Deadline(told.append, 1e6)
-    spent("fit")
-    with ample.limited():
-        ample("search")
-    with pytest.raises(OutOfTime), spent.limited():
-        spent("search")
-    spent("gap")
-    assert told == ["fit", "search", "search", "gap"]
+    with showing_stages(told.append):
+        report_progress()  # of no stage
+        with in_stage("fit"):
+            report_progress()
+            with Deadline(1e6).limited(), in_stage("search"):
+                report_progress()
+            with pytest.raises(OutOfTime), Deadline(-1.0).limited():
+                report_progress()
+            report_progress()
+    report_progress()
+    assert told == ["fit", "fit", "search", "search", "fit", "fit"]
 
 
 def test_each_forecast_asks_for_the_time():
     """One candidate's derivatives may take minutes: where balls push each other, each clip is solved alone."""
     clips = collisions(Model(), 2, 3)
     launches = np.array([c.launch for c in clips])
-    with Deadline(print, 1e6).limited():
+    with Deadline(1e6).limited():
         predict_tracks(Model(), launches, clips)
-    with pytest.raises(OutOfTime), Deadline(print, -1.0).limited():
+    with pytest.raises(OutOfTime), Deadline(-1.0).limited():
         predict_tracks(Model(), launches, clips)
     predict_tracks(Model(), launches, clips)
 
@@ -40,7 +43,7 @@ def test_each_derivative_of_a_free_law_asks_for_the_time():
     launches = np.array([c.launch for c in clips])
     (law, *_) = (law for law in free_laws_over(Model(), launches, clips) if law.base_name == "friction_speed")
     law.derivatives(Model(), launches, clips)
-    with pytest.raises(OutOfTime), Deadline(print, -1.0).limited():
+    with pytest.raises(OutOfTime), Deadline(-1.0).limited():
         law.derivatives(Model(), launches, clips)
 
 

@@ -8,7 +8,7 @@ from discrepancy.select.library_search import complete_search, describe_claims, 
 
 def library_fits(clips, base, noise):
     """A library of which nothing but the base is fitted."""
-    return LibraryFits(WhitenedClips.of(clips, noise), base, lambda: None)
+    return LibraryFits(WhitenedClips.of(clips, noise), base)
 
 
 def selected(clips, base, noise):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -17,12 +17,12 @@ from discrepancy.fitting.parameters import list_names_to_fit
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
+from discrepancy.time_left import in_stage
 from synthcam.model import LAUNCH_SPIN, Model
 from synthcam_shared.errors import InputError
 from tracker.camera.views import find_first_difference
 
 CLAIMED_NOISE = Noise(NoiseComponent(1.0))  # white noise of the claimed size
-Progress = Callable[[str], None]
 
 
 def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[MeasuredCollision]:
@@ -50,16 +50,15 @@ def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[Me
     return [replace(c, launch=allow_side_spin(c.launch)) for c in clips] if LAUNCH_SPIN in model.free else clips
 
 
-def fit_base_model(
-    clips: Sequence[MeasuredCollision], model: Model, noise: Noise, progress: Progress, poor: float = 100.0
-) -> ModelFit:
+@in_stage("fit")
+def fit_base_model(clips: Sequence[MeasuredCollision], model: Model, noise: Noise, poor: float = 100.0) -> ModelFit:
     """Fit the model's base parameters that are not zero, and those in `model.free`.
 
     The fit starts from the model's values. If it ends with chi^2 per degree of freedom above `poor`, it starts again
     from the friction that the durations of slides after impacts give. The rolling loss is scaled too, as a wrong clock
     would do it. The default of `poor` is far beyond any misfit of a start near the minimum.
 
-    progress: called with "fit" at each step. Raises InputError where the model has no motion for these collisions.
+    Raises InputError where the model has no motion for these collisions.
     """
     names = list_names_to_fit(model)
     impact_parameters = ("restitution", "spin_transfer")  # free stretches do not show them
@@ -67,24 +66,24 @@ def fit_base_model(
     if free:
         names = tuple(name for name in names if name not in impact_parameters)
     try:
-        found = fit_model(clips, model, names, noise, progress=lambda: progress("fit"))
+        found = fit_model(clips, model, names, noise)
     except ValueError as e:
         raise InputError(f"the model has no motion for these collisions: {e}") from None
     if found.chi2 > poor * (found.points - found.parameters) and "sliding_friction" in names and not free:
         with suppress(ValueError):
-            again = fit_model(clips, _rescale_friction(clips, model), names, noise, progress=lambda: progress("fit"))
+            again = fit_model(clips, _rescale_friction(clips, model), names, noise)
             return min(found, again, key=lambda f: f.chi2)
     return found
 
 
 def remove_outliers_beside_model(
-    clips: Sequence[MeasuredCollision], kept_out: Sequence[MeasuredCollision], model: Model, progress: Progress
+    clips: Sequence[MeasuredCollision], kept_out: Sequence[MeasuredCollision], model: Model
 ) -> tuple[list[MeasuredCollision], list[MeasuredCollision]]:
     """Remove positions that are outliers relative to the fitted base model, so that they do not count as noise.
 
     The base model is fitted to `clips`; of the held-out clips only the launches are fitted. Returns both lists.
     """
-    base = fit_base_model(clips, model, CLAIMED_NOISE, progress)
+    base = fit_base_model(clips, model, CLAIMED_NOISE)
     every, places = [*clips, *kept_out], base.launches
     with suppress(ValueError):  # the model has no motion for one of them
         if kept_out:

@@ -8,7 +8,7 @@ chi^2 falls as they predict.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,33 +29,21 @@ MAX_DAMPING = 1e6
 
 
 def fit_model(
-    clips: Sequence[MeasuredCollision],
-    model: Model,
-    names: Sequence[str],
-    noise: Noise,
-    launches: Array | None = None,
-    progress: Callable[[], None] = lambda: None,
+    clips: Sequence[MeasuredCollision], model: Model, names: Sequence[str], noise: Noise, launches: Array | None = None
 ) -> ModelFit:
     """Fit shared parameters and every launch by Gauss-Newton, with Marquardt's damping when a step fails.
 
     model: its values are the start of the fit.
     names: the shared parameters; with none only the launches are fitted.
     launches: start of the launches, (clips, p); by default the clips' own first guesses.
-    progress: called at every step.
     Raises ValueError where the model has no motion for one of the first launches.
     """
     whitened = WhitenedClips.of(clips, noise)
     places = np.array([c.launch for c in clips] if launches is None else launches, dtype=float)
-    return minimise_chi2(whitened, linearise(whitened, model, tuple(names), places), progress)
+    return minimise_chi2(whitened, linearise(whitened, model, tuple(names), places))
 
 
-def minimise_chi2(
-    whitened: WhitenedClips,
-    fit: ModelFit,
-    progress: Callable[[], None] = lambda: None,
-    rough: bool = False,
-    useful_chi2: float = np.inf,
-) -> ModelFit:
+def minimise_chi2(whitened: WhitenedClips, fit: ModelFit, rough: bool = False, useful_chi2: float = np.inf) -> ModelFit:
     """Minimise chi^2 of all clips by Gauss-Newton steps from a fit.
 
     A whole step is tried first, then 30 and 10 % of it, since along a bent valley a shorter step still descends. If all
@@ -71,7 +59,6 @@ def minimise_chi2(
     damping, tolerance, last, gained = 0.0, 0.1 if rough else 1e-3, False, np.inf
     held = np.zeros(len(fit.residuals))  # damping of single launches
     for _ in range(40):
-        progress()
         try:
             values, own = _step(fit, damping, held)
         except STEP_ERRORS:

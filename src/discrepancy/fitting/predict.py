@@ -11,7 +11,7 @@ import numpy as np
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
-from discrepancy.time_left import check_deadline
+from discrepancy.time_left import report_progress
 from synthcam.camera.pinhole import PinholeCamera as Optics
 from synthcam.dynamics.batch import CollisionBatch, solve_collisions
 from synthcam.model import Model
@@ -26,7 +26,7 @@ def predict_tracks(model: Model, launches: Array, clips: Sequence[MeasuredCollis
     the search is over.
     """
     farthest = 1e9  # m; squares of such residuals are still finite
-    check_deadline()
+    report_progress()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         positions = map_by_frame_rate(clips, lambda rows, some: _predict_one_rate(model, launches[rows], some))
     if not all(np.abs(p).max(initial=0.0) < farthest for p in positions):  # NaN too

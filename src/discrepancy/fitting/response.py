@@ -21,7 +21,7 @@ from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C, WITH_SPIN
 from discrepancy.fitting.predict import map_by_frame_rate
-from discrepancy.time_left import check_deadline
+from discrepancy.time_left import report_progress
 from synthcam.dynamics.batch import CollisionBatch, solve_collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
@@ -87,7 +87,7 @@ def compute_responses(
         parts = [slice(k, k + batch) for k in range(0, len(own), batch)]
         found = list[Array]()
         for part in parts:
-            check_deadline()  # the derivatives by one law of many clips may take minutes
+            report_progress()  # the derivatives by one law of many clips may take minutes
             found += _respond_one_rate(model, launches[rows[part]], own[part], changes, size)
         return found
 

@@ -23,10 +23,7 @@ LOSSES = ("sliding_friction", "rolling_decel", "rolling_drag")  # the first two 
 
 
 def choose_starts(
-    clips: Sequence[MeasuredCollision],
-    model: Model,
-    slides: Sequence[float] = (0.2, 0.5, 0.9),
-    most_chi2: float = 50.0,
+    clips: Sequence[MeasuredCollision], model: Model, slides: Sequence[float] = (0.2, 0.5, 0.9), most_chi2: float = 50.0
 ) -> tuple[list[MeasuredCollision], list[SearchNote]]:
     """Choose the start of each stretch, with the friction of the model; leave out those that do not move freely.
 

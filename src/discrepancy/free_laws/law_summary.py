@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -93,7 +92,7 @@ def describe_law(law: FreeLaw) -> str:
     return f"{law.title} that depends on the {law.axes[0].name}"
 
 
-def tabulate_and_refit(fitted_law: FittedLaw, progress: Callable[[], None] = lambda: None) -> ModelFit | None:
+def tabulate_and_refit(fitted_law: FittedLaw) -> ModelFit | None:
     """Put a free law into the model as a table, and fit all other parameters again.
 
     The table is the smooth curve or the curve that may have a step, whichever leaves the smaller chi^2. Returns None if
@@ -109,7 +108,7 @@ def tabulate_and_refit(fitted_law: FittedLaw, progress: Callable[[], None] = lam
         with suppress(ValueError):
             model = _with_table(fitted_law.model_without_law, law.name, x, curve)
             start = linearise(fitted_law.evidence, model, fitted_law.fit.names, fitted_law.fit.launches)
-            found.append(minimise_chi2(fitted_law.evidence, start, progress))
+            found.append(minimise_chi2(fitted_law.evidence, start))
     best = min(found, key=lambda fit: fit.chi2, default=None)
     if best is None:
         return None

@@ -31,11 +31,7 @@ class ComparedDesign:
 
 
 def compare_designs(
-    clips: Sequence[MeasuredCollision],
-    noise: Noise,
-    fit: ModelFit,
-    one: Shaped,
-    other: Shaped,
+    clips: Sequence[MeasuredCollision], noise: Noise, fit: ModelFit, one: Shaped, other: Shaped
 ) -> tuple[ComparedDesign, ...]:
     """Compute the cosine of two effects' signatures in the filmed collisions and in others that could be filmed.
 

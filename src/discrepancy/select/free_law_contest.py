@@ -7,7 +7,7 @@ its effects alone. The best laws are then fitted in full. A second library effec
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -32,13 +32,13 @@ from discrepancy.select.model_cost import compute_cost
 from discrepancy.select.score_test import CandidateScore, ScoreTests
 
 
-def select_effects_and_law(library: LibraryFits, progress: Callable[[], None]) -> Selection:
+def select_effects_and_law(library: LibraryFits) -> Selection:
     """Select effects of the library, and a free law if one explains more.
 
     Each larger model of the library competes with the free laws. The library's search ends when a free law beats two of
     its models in a row. So the library may add one more effect to catch up with the law.
     """
-    laws = FreeLawFits(library.evidence, library.base, progress)
+    laws = FreeLawFits(library.evidence, library.base)
     state: State = ()
     opponent, beaten = laws.challenge(library.base), 0
     for state in iterate_models(library):
@@ -71,32 +71,31 @@ class Opponent:
 class FreeLawFits:
     """The free laws over some clips, with those that were fitted in full beside models of the library (`fitted`)."""
 
-    def __init__(self, evidence: WhitenedClips, base: ModelFit, progress: Callable[[], None] = lambda: None) -> None:
-        self.evidence, self.base, self.progress = evidence, base, progress
+    def __init__(self, evidence: WhitenedClips, base: ModelFit) -> None:
+        self.evidence, self.base = evidence, base
         self.laws = free_laws_over(base.model, base.launches, evidence.clips)
         self.fitted: list[FittedLaw] = []
         self._missing: dict[int, CandidateScore | None] = {}  # by the identity of the fitted law
 
     def challenge(self, fit: ModelFit, rivals: Sequence[ModelFit] = ()) -> Opponent:
         """Fit the free laws that may be the best, to first order, beside a model and beside each of its effects."""
-        fits, seen = [*fit_each_alone(self.evidence, self.base, fit, self.progress), fit], []
+        fits, seen = [*fit_each_alone(self.evidence, self.base, fit), fit], []
         for law in self.laws:  # derivatives at the base are near enough for all fits
             moves = whiten_law_columns(self.evidence, law, self.base.model, self.base.launches)
             seen += [score_law(self.evidence, law, each, moves) for each in fits]
-            self.progress()
         leaders = [test for test in seen if test.sigma > current_policy().free_law_sigma]
         leaders.sort(key=lambda test: test.score(self.base))
         for test in leaders[:3]:  # only these are fitted in full
             slack = SCORE_ERROR_CHI2 + 0.01 * (compute_cost(test.fit, self.base) - test.score(self.base))
             if all(test.score(self.base) < f.score + slack for f in self.fitted):
                 with suppress(ValueError):  # on the way to this curve the model has no motion
-                    self.fitted.append(fit_law(self.evidence, test, self.base, self.progress))
+                    self.fitted.append(fit_law(self.evidence, test, self.base))
         return Opponent(fit, tuple(rivals), any(test.fit is fit for test in leaders))
 
     def find_missing_effect(self, law: FittedLaw) -> CandidateScore | None:
         """Find the effect of the library that is still significant beside a fitted free law."""
         if id(law) not in self._missing:
-            tests = ScoreTests.of(law.evidence, law.joint_fit, self.progress, about=law.model_without_law)
+            tests = ScoreTests.of(law.evidence, law.joint_fit, about=law.model_without_law)
             ranking, least = tests.leaders(current_policy().free_law_sigma), current_policy().free_law_sigma
             claimed = ranking and ranking[0].sigma > least and ranking[0].sigma > tests.claim()
             self._missing[id(law)] = ranking[0] if claimed else None
@@ -111,9 +110,7 @@ class FreeLawFits:
         return min(compute_cost(fit, self.base) for fit in (opponent.fit, *opponent.rivals))
 
 
-def fit_each_alone(
-    evidence: WhitenedClips, base: ModelFit, best: ModelFit, progress: Callable[[], None] = lambda: None
-) -> list[ModelFit]:
+def fit_each_alone(evidence: WhitenedClips, base: ModelFit, best: ModelFit) -> list[ModelFit]:
     """Prepare the contest with free laws: fit each effect of the best library model alone, if it has several."""
     added = best.added_names(base)
     if len(added) < 2:
@@ -125,7 +122,7 @@ def fit_each_alone(
         model = dataclasses.replace(base.model, effects=effects).replace(values)
         with suppress(ValueError):  # alone it has no motion
             start = linearise(evidence, model, (*base.names, *own), base.launches)
-            fits.append(minimise_chi2(evidence, start, progress, rough=True))
+            fits.append(minimise_chi2(evidence, start, rough=True))
     return fits
 
 
@@ -169,7 +166,7 @@ def find_winning_law(laws: FreeLawFits, opponent: Opponent) -> FittedLaw | None:
         if best is None or beside is None:
             break
         try:
-            sigma, more = fit_law_with_effect(laws.evidence, best, beside, laws.base, laws.progress)
+            sigma, more = fit_law_with_effect(laws.evidence, best, beside, laws.base)
         except ValueError:  # without the free law there is no motion
             break
         if more.score >= best.score or sigma < current_policy().free_law_sigma:
@@ -186,12 +183,7 @@ def find_near_law(laws: FreeLawFits, opponent: Opponent) -> FittedLaw | None:
 
 
 def find_replacements(
-    evidence: WhitenedClips,
-    less: FittedLaw,
-    named: Candidate,
-    absorbed: Collection[str],
-    base: ModelFit,
-    progress: Callable[[], None],
+    evidence: WhitenedClips, less: FittedLaw, named: Candidate, absorbed: Collection[str], base: ModelFit
 ) -> list[tuple[str, FittedLaw]]:
     """Challenge a free law: fit other effects beside it, each instead of one effect that is there.
 
@@ -200,7 +192,7 @@ def find_replacements(
     less: the free law without the effect `named`. absorbed: effects that do not count as rivals. base: the fit from
     which the cost of effects is counted.
     """
-    tests = ScoreTests.of(less.evidence, less.joint_fit, progress, about=less.model_without_law)
+    tests = ScoreTests.of(less.evidence, less.joint_fit, about=less.model_without_law)
     ranking = {c.effect: c for c in tests.ranking()}
     if named.name not in ranking:
         return []
@@ -210,7 +202,7 @@ def find_replacements(
     fitted = []
     for rival in sorted(rivals, key=lambda c: -c.gain)[:MAX_EXCHANGES]:
         try:
-            fitted.append((rival.effect, fit_law_with_effect(evidence, less, rival, base, progress)[1]))
+            fitted.append((rival.effect, fit_law_with_effect(evidence, less, rival, base)[1]))
         except ValueError:  # no motion
             continue
     return sorted(fitted, key=lambda pair: pair[1].score)

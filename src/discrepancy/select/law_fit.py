@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -59,13 +59,7 @@ def score_law(evidence: WhitenedClips, law: FreeLaw, fit: ModelFit, moves: Seque
     return LawScore(law, fit, compute_significance(law, information, pull), information, pull)
 
 
-def fit_law(
-    evidence: WhitenedClips,
-    test: LawScore,
-    base: ModelFit,
-    progress: Callable[[], None] = lambda: None,
-    begun: FittedLaw | None = None,
-) -> FittedLaw:
+def fit_law(evidence: WhitenedClips, test: LawScore, base: ModelFit, begun: FittedLaw | None = None) -> FittedLaw:
     """Fit a free law together with everything in another fit. The marginal likelihood chooses the prior of the law.
 
     test: the law, and the fit without it. base: the fit from which the cost of effects beside the law is counted.
@@ -79,7 +73,6 @@ def fit_law(
         plain, fit, here, coefs = begun.model_without_law, begun.fit, begun.evidence, begun.coefs
     moves = whiten_law_columns(here, law, fit.model, fit.launches)
     for _ in range(30):
-        progress()
         information, pull = fit.information(moves)
         weight = maximise_evidence(law, information, pull + information @ coefs)
         precision, step = weight.prior.precision, weight.coefs - coefs
@@ -135,7 +128,7 @@ def _moved(
 
 
 def fit_law_with_effect(
-    evidence: WhitenedClips, known: FittedLaw, effect: CandidateScore, base: ModelFit, progress: Callable[[], None]
+    evidence: WhitenedClips, known: FittedLaw, effect: CandidateScore, base: ModelFit
 ) -> tuple[float, FittedLaw]:
     """Fit a free law again with one library effect more. Raises ValueError if there is no motion without the law.
 
@@ -143,35 +136,33 @@ def fit_law_with_effect(
     """
     model = known.model_without_law.replace(effect.shapes | dict.fromkeys(effect.strengths, 0.0))
     start = linearise(evidence, model, (*known.fit.names, *effect.strengths), known.fit.launches)
-    test = score_law(evidence, known.law, minimise_chi2(evidence, start, progress))
-    fitted, names = fit_law(evidence, test, base, progress), (*start.names, *effect.shapes)
+    test = score_law(evidence, known.law, minimise_chi2(evidence, start))
+    fitted, names = fit_law(evidence, test, base), (*start.names, *effect.shapes)
     for _ in range(10 if effect.shapes else 0):  # law and shapes in turn: without the law shapes may diverge
         before, here, one = fitted.score, fitted.evidence, fitted.fit
-        whole = minimise_chi2(here, linearise(here, one.model, names, one.launches), progress)
+        whole = minimise_chi2(here, linearise(here, one.model, names, one.launches))
         values = dict(zip(whole.names, whole.values().tolist(), strict=True))
         plain = replace_within_limits(fitted.model_without_law, values)
         begun = dataclasses.replace(fitted, fit=whole, model_without_law=plain)
-        fitted = fit_law(evidence, test, base, progress, begun)
+        fitted = fit_law(evidence, test, base, begun)
         if fitted.score > before - CONVERGED_CHI2:
             break
     information, pull = fitted.fit.information(fitted.slopes)
     return compute_significance(fitted.law, information, pull + information @ fitted.coefs), fitted
 
 
-def refit_without_effect(
-    evidence: WhitenedClips, fitted_law: FittedLaw, gone: Candidate, base: ModelFit, progress: Callable[[], None]
-) -> FittedLaw:
+def refit_without_effect(evidence: WhitenedClips, fitted_law: FittedLaw, gone: Candidate, base: ModelFit) -> FittedLaw:
     """Fit a free law again without the effect `gone` beside it. Raises ValueError if there is no motion."""
     names = tuple(n for n in fitted_law.fit.names if n not in gone.strengths + gone.shapes)
     start = linearise(evidence, gone.remove_from(fitted_law.model_without_law), names, fitted_law.fit.launches)
-    test = score_law(evidence, fitted_law.law, minimise_chi2(evidence, start, progress))
-    return fit_law(evidence, test, base, progress)
+    test = score_law(evidence, fitted_law.law, minimise_chi2(evidence, start))
+    return fit_law(evidence, test, base)
 
 
-def fit_without_law(evidence: WhitenedClips, fitted_law: FittedLaw, progress: Callable[[], None]) -> ModelFit:
+def fit_without_law(evidence: WhitenedClips, fitted_law: FittedLaw) -> ModelFit:
     """Fit everything beside a fitted law, without the law. Raises ValueError if there is no motion."""
     start = linearise(evidence, fitted_law.model_without_law, fitted_law.fit.names, fitted_law.fit.launches)
-    return minimise_chi2(evidence, start, progress)
+    return minimise_chi2(evidence, start)
 
 
 def validate_clip_numbers(

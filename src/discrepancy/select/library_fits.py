@@ -18,6 +18,7 @@ from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.policy import current_policy
 from discrepancy.select.model_cost import compute_cost
 from discrepancy.select.score_test import CandidateScore, ScoreTests
+from discrepancy.time_left import in_stage
 from synthcam.model import without_mutual_push
 
 State = tuple[Candidate, ...]
@@ -33,8 +34,8 @@ class LibraryFits:
     Base parameters that the base holds at zero are candidates too.
     """
 
-    def __init__(self, evidence: WhitenedClips, base: ModelFit, progress: Callable[[], None]) -> None:
-        self.evidence, self.progress = evidence, progress
+    def __init__(self, evidence: WhitenedClips, base: ModelFit) -> None:
+        self.evidence = evidence
         self.fits: dict[Key, ModelFit] = {frozenset(): base}  # all models that were fitted, by the candidates in them
         self.tests: dict[Key, ScoreTests] = {}  # each holds the derivatives of every candidate
         self.large: Key | None = None  # the model whose tests take much memory: dropped before others are made
@@ -54,6 +55,7 @@ class LibraryFits:
         """The fit without any candidate."""
         return self.fits[frozenset()]
 
+    @in_stage("search")
     def score_tests(self, state: Sequence[Candidate], max_numbers: int = 8_000_000) -> ScoreTests:
         """The score tests of all candidates beside a model. At most `max_numbers` stay in memory beside the last."""
         fit, key = self.fit(state), frozenset(state)
@@ -61,7 +63,7 @@ class LibraryFits:
             if self.large is not None:
                 self.tests.pop(self.large, None)
                 self.large = None
-            tests = ScoreTests.of(self.evidence, fit, self.progress)
+            tests = ScoreTests.of(self.evidence, fit)
             if tests.numbers + sum(t.numbers for t in self.tests.values()) > max_numbers:
                 self.large = key
             self.tests[key] = tests
@@ -72,6 +74,7 @@ class LibraryFits:
         self.fits[key] = fit
         self.tests.pop(key, None)
 
+    @in_stage("search")
     def fit(self, state: Iterable[Candidate]) -> ModelFit:
         """The best fit of a model."""
         ordered = _in_order(state) if isinstance(state, frozenset) else tuple(state)
@@ -79,7 +82,7 @@ class LibraryFits:
         if key not in self.fits:
             self._keep(key, self._start_from_larger(key))
         if key not in self.done:
-            fit = minimise_chi2(self.evidence, self.fits[key], self.progress)
+            fit = minimise_chi2(self.evidence, self.fits[key])
             self._keep(key, self._escape_local_minimum(ordered, fit))
             self.done.add(key)
         return self.fits[key]
@@ -93,6 +96,7 @@ class LibraryFits:
             self.fits[key] = exact
         return self.fits[key]
 
+    @in_stage("search")
     def extend(self, key: Key, fit: ModelFit, scored: CandidateScore, slack: float = 30.0) -> None:
         """Fit and keep the model of `key`, which is the model of `fit` with the scored candidate added.
 
@@ -106,7 +110,7 @@ class LibraryFits:
         def find_useful_chi2(start: ModelFit) -> float:
             return min(useful_chi2, useful_cost - (compute_cost(start, self.base) - start.chi2))
 
-        self._keep(key, fit_with_candidate(self.evidence, fit, scored, self.progress, useful_chi2=find_useful_chi2))
+        self._keep(key, fit_with_candidate(self.evidence, fit, scored, useful_chi2=find_useful_chi2))
         self.done.discard(key)
         self.latest[key] = scored.candidate
 
@@ -145,17 +149,17 @@ class LibraryFits:
             if candidate == self.latest.get(frozenset(state)):
                 continue
             reduced = self.remove(fit, candidate)
-            tests = ScoreTests.of(self.evidence, reduced, self.progress, [candidate])
+            tests = ScoreTests.of(self.evidence, reduced, [candidate])
             scored = tests.sharper(self.evidence, tests.ranking()[0])
             if tests.chi2() - scored.gain < fit.chi2 - MIN_USEFUL_CHI2:
-                fit = self._take_better(fit, fit_with_candidate(self.evidence, reduced, scored, self.progress))
+                fit = self._take_better(fit, fit_with_candidate(self.evidence, reduced, scored))
         return fit
 
     def _take_better(self, fit: ModelFit, other: ModelFit) -> ModelFit:
         """Return the better of the two fits, after the other has converged."""
         if other.chi2 >= fit.chi2:
             return fit
-        return min(fit, minimise_chi2(self.evidence, other, self.progress), key=lambda f: f.chi2)
+        return min(fit, minimise_chi2(self.evidence, other), key=lambda f: f.chi2)
 
     def _start_from_larger(self, key: Key) -> ModelFit:
         """Start a model from the smallest fitted model that contains it, less the effects that it does not have."""
@@ -206,7 +210,6 @@ def fit_with_candidate(
     evidence: WhitenedClips,
     fit: ModelFit,
     scored: CandidateScore,
-    progress: Callable[[], None] = lambda: None,
     min_share: float = 0.5,
     useful_chi2: Callable[[ModelFit], float] = lambda start: math.inf,
 ) -> ModelFit:
@@ -219,7 +222,7 @@ def fit_with_candidate(
     """
 
     def descend(start: ModelFit) -> ModelFit:
-        return minimise_chi2(evidence, start, progress, rough=True, useful_chi2=useful_chi2(start))
+        return minimise_chi2(evidence, start, rough=True, useful_chi2=useful_chi2(start))
 
     tries = [] if scored.candidate.kind is None else [_descend_from_score(evidence, fit, scored, descend)]
     if not tries or tries[0].chi2 > fit.chi2 - min_share * scored.gain:

@@ -116,7 +116,7 @@ def fit_effects_from(library: LibraryFits, effects: Iterable[str], model: Model)
     names = (*base.names, *(n for s in state for n in s.strengths + s.shapes))
     begun = base.model.replace({n: model.value(n) for n in names})
     start = linearise(library.evidence, begun, names, base.launches)
-    library.offer(frozenset(state), minimise_chi2(library.evidence, start, library.progress))
+    library.offer(frozenset(state), minimise_chi2(library.evidence, start))
     return state
 
 

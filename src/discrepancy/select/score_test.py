@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -113,12 +113,7 @@ class ScoreTests:
 
     @classmethod
     def of(
-        cls,
-        evidence: WhitenedClips,
-        fit: ModelFit,
-        progress: Callable[[], None] = lambda: None,
-        only: Sequence[Candidate] = (),
-        about: Model | None = None,
+        cls, evidence: WhitenedClips, fit: ModelFit, only: Sequence[Candidate] = (), about: Model | None = None
     ) -> ScoreTests:
         """Take the derivatives by the strengths of every candidate, at all values of its shape parameters.
 
@@ -134,7 +129,6 @@ class ScoreTests:
                 trials += _scanned(evidence, plain, fit.launches, candidate, grid, here)
             else:
                 trials += [prepare_trial(evidence, plain, fit.launches, candidate, shapes, here) for shapes in grid]
-            progress()
         return cls(fit, tuple(trials))
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum, auto
@@ -28,6 +28,7 @@ from discrepancy.select.law_fit import fit_unseen_clips, fit_without_law, refit_
 from discrepancy.select.library_fits import LibraryFits
 from discrepancy.select.library_search import Selection, describe_claims, exchange_effect, make_selection
 from discrepancy.select.model_cost import compute_cost
+from discrepancy.time_left import in_stage
 from discrepancy.validate.gap import weigh_clips
 from discrepancy.validate.residual_map import find_disagreements, is_unexplained
 
@@ -364,10 +365,10 @@ class HeldOutClips:
     noise: Noise
     before: ModelFit
 
-    def fit(self, fit: ModelFit, progress: Callable[[], None] = lambda: None) -> ModelFit | None:
+    def fit(self, fit: ModelFit) -> ModelFit | None:
         """Fit the launches by a model of the library; None if it has no motion for them."""
         with suppress(ValueError):
-            return fit_model(self.clips, fit.model, (), self.noise, self.before.launches, progress)
+            return fit_model(self.clips, fit.model, (), self.noise, self.before.launches)
         return None
 
     def fit_with_law(self, free_law: FittedLaw) -> ModelFit | None:
@@ -381,9 +382,8 @@ Predictions = tuple[HeldOutTest, HeldOutTest]  # on held-out clips, and on fitte
 Tested = tuple[list[ClaimTest], dict[str, Selection], tuple[EffectClaim, ...]]  # tests, selection without each, claims
 
 
-def validate(
-    selection: Selection, library: LibraryFits, held_out: HeldOutClips, progress: Callable[[], None]
-) -> ValidatedSelection:
+@in_stage("gap")
+def validate(selection: Selection, library: LibraryFits, held_out: HeldOutClips) -> ValidatedSelection:
     """Validate claims: reject the weakest first, until all that remain pass every test.
 
     After each rejection everything else is fitted and tested again. In three cases an effect needs more sigma, since it
@@ -401,9 +401,9 @@ def validate(
         if law or any(test.is_free_law for test in rejected) or _leaves_something(selection, library, held_out.noise):
             level = max(level, current_policy().beside_free_law_sigma)
         if law:
-            tests, without, claims = _test_beside_law(selection, law, library, held_out, level, progress)
+            tests, without, claims = _test_beside_law(selection, law, library, held_out, level)
         else:
-            tests, without, claims = _test_effects(selection, library, held_out, level, progress)
+            tests, without, claims = _test_effects(selection, library, held_out, level)
         failed = [test for test in tests if test.rejection]
         if not failed:
             passed = {test.name for test in tests}  # a claim that failed beside another may pass without it
@@ -441,27 +441,22 @@ def judge_claim(
     return Rejection.AGREES_WITH_ZERO if from_zero < current_policy().leave_one_out_sigma else None
 
 
-def _test_effects(
-    selection: Selection, library: LibraryFits, held_out: HeldOutClips, level: float, progress: Callable[[], None]
-) -> Tested:
+def _test_effects(selection: Selection, library: LibraryFits, held_out: HeldOutClips, level: float) -> Tested:
     """Test each effect of a selection without a free law; level: the sigma that an effect needs."""
     tests, without, claims = [], dict[str, Selection](), describe_claims(library, selection.state)
     by_scatter = level > library.required_sigma or any(clip.is_stretch for clip in library.evidence.clips)
     jackknife = Jackknife.of(selection.best) if by_scatter and selection.state else None
 
-    def compare(sigma: float, less: ModelFit, more: ModelFit) -> Predictions:
-        return compare_models(sigma, less, more, held_out, progress)
-
     for candidate, claim in zip(selection.state, claims, strict=True):
         less = make_selection(library, tuple(s for s in selection.state if s != candidate))
         without[candidate.name] = less
-        predictions = compare(claim.sigma, less.best, selection.best)
+        predictions = compare_models(claim.sigma, less.best, selection.best, held_out)
         from_zero = jackknife.distance_from_zero(claim.values) if jackknife else math.inf
         rejection, variation = judge_claim(claim, predictions, level, from_zero), None
         if rejection and rejection is not Rejection.NOT_SIGNIFICANT:
             for alias in claim.aliases[1:]:
                 other = exchange_effect(library, selection, candidate, alias)
-                if other and not judge_predictions(*compare(claim.sigma, less.best, other.best)):
+                if other and not judge_predictions(*compare_models(claim.sigma, less.best, other.best, held_out)):
                     without[candidate.name], rejection = other, Rejection.REPLACED
                     break
         elif not rejection:
@@ -474,12 +469,7 @@ def _test_effects(
 
 
 def _test_beside_law(
-    selection: Selection,
-    free_law: FittedLaw,
-    library: LibraryFits,
-    held_out: HeldOutClips,
-    level: float,
-    progress: Callable[[], None],
+    selection: Selection, free_law: FittedLaw, library: LibraryFits, held_out: HeldOutClips, level: float
 ) -> Tested:
     """Test a free law and each effect beside it."""
     tests, without, claims = [], dict[str, Selection](), []
@@ -491,7 +481,7 @@ def _test_beside_law(
         claim = EffectClaim.of(known[effect], whole, whole.std, library.correct_for_trials(effect, sigma))
         claims.append(claim)
         try:
-            less = refit_without_effect(evidence, free_law, known[effect], base, progress)
+            less = refit_without_effect(evidence, free_law, known[effect], base)
         except ValueError:  # the clips have no motion without it
             continue
         without[effect] = replace(selection, free_law=less)
@@ -500,7 +490,7 @@ def _test_beside_law(
         from_zero = jackknife.distance_from_zero(claim.values)
         rejection = judge_claim(claim, predictions, level, from_zero, absorbed=less.score <= free_law.score)
         if not rejection:
-            others = find_replacements(evidence, less, known[effect], library.absorbed, base, progress)
+            others = find_replacements(evidence, less, known[effect], library.absorbed, base)
             excluded = current_policy().rival_excluded_chi2
             rivals = [(name, other) for name, other in others if other.score < free_law.score + excluded]
             claims[-1] = replace(claim, aliases=(effect, *(name for name, _ in rivals)))
@@ -509,7 +499,7 @@ def _test_beside_law(
         test = ClaimTest(effect, claim.sigma, *predictions, rejection, shape_at_limit=claim.shape_at_limit())
         tests.append(replace(test, from_zero=from_zero))
     without[free_law.law.name] = replace(selection, free_law=None)
-    predictions = _predict_with_law(selection, free_law, library, held_out, (with_, residuals), progress)
+    predictions = _predict_with_law(selection, free_law, library, held_out, (with_, residuals))
     rejection = judge_predictions(*predictions)
     tests.append(ClaimTest(free_law.law.name, free_law.sigma, *predictions, rejection, is_free_law=True))
     return tests, without, tuple(claims)
@@ -521,7 +511,6 @@ def _predict_with_law(
     library: LibraryFits,
     held_out: HeldOutClips,
     with_law: tuple[ModelFit | None, Residuals],
-    progress: Callable[[], None],
 ) -> Predictions:
     """Test a free law itself. A law of one number for each clip promises only how much these numbers scatter.
 
@@ -529,10 +518,10 @@ def _predict_with_law(
     """
     own, (with_, residuals) = free_law.sigma, with_law
     try:
-        empty = fit_without_law(library.evidence, free_law, progress)
+        empty = fit_without_law(library.evidence, free_law)
     except ValueError:  # no motion without the free law
         return compare_predictions(own, (None, with_), (residuals, residuals), held_out)
-    without = held_out.fit(empty, progress)
+    without = held_out.fit(empty)
     if without is None or not free_law.law.is_per_clip:
         return compare_predictions(own, (without, with_), (leave_one_out_residuals(empty), residuals), held_out)
     gain, promised, std = validate_clip_numbers(free_law, held_out.clips, without, held_out.noise)
@@ -542,11 +531,9 @@ def _predict_with_law(
     return unseen, HeldOutTest((before, before - gain / without.points), own, own)
 
 
-def compare_models(
-    own: float, without: ModelFit, with_: ModelFit, held_out: HeldOutClips, progress: Callable[[], None]
-) -> Predictions:
+def compare_models(own: float, without: ModelFit, with_: ModelFit, held_out: HeldOutClips) -> Predictions:
     """Compare the predictions of held-out clips by two models of the library; own: sigma of the claim."""
-    fits = held_out.fit(without, progress), held_out.fit(with_, progress)
+    fits = held_out.fit(without), held_out.fit(with_)
     residuals = leave_one_out_residuals(without), leave_one_out_residuals(with_)
     return compare_predictions(own, fits, residuals, held_out, with_)
 

@@ -53,7 +53,6 @@ def measure_gap(
     base: ModelFit,
     best: ModelFit,
     noise: Noise,
-    progress: Callable[[], None] = lambda: None,
     fit_law: Callable[[ModelFit], ModelFit] | None = None,
 ) -> GapFits:
     """Measure the gap on clips that were held out of both fits; only their launches are fitted.
@@ -65,14 +64,14 @@ def measure_gap(
     makes the second fit of these clips from the first, if no model can hold the free law. If the best model has no
     motion for one of the clips, it closes nothing. Clips that neither model predicts count less (`weigh_clips`).
     """
-    before = fit_model(clips, base.model, (), noise, progress=progress)
+    before = fit_model(clips, base.model, (), noise)
     try:
         if fit_law:
             after = fit_law(before)
         elif best.model == base.model:
             after = before
         else:
-            after = fit_model(clips, best.model, (), noise, before.launches, progress)
+            after = fit_model(clips, best.model, (), noise, before.launches)
     except ValueError:  # no motion
         after = before
     every = zip(clips, before.residuals, after.residuals, before.launch_slopes, strict=True)

@@ -32,8 +32,7 @@ def make(
     size: Size = "full",
     definition: Own = None,
     withhold_truth: Annotated[
-        Path | None,
-        typer.Option(metavar="TRUTH", help="Separate folder for the truth; the seed is then random."),
+        Path | None, typer.Option(metavar="TRUTH", help="Separate folder for the truth; the seed is then random.")
     ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of all random draws; default: that of the suite.")

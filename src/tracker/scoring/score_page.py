@@ -16,13 +16,7 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.report.numbers import format_number, format_percent
 from synthcam_shared.report.page import Block, PageFigure, PageSection, PageTable, make_axes, write_page
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.report.collision_figures import (
-    CollisionView,
-    draw_energy,
-    draw_frame,
-    draw_separation,
-    draw_tracks,
-)
+from tracker.report.collision_figures import CollisionView, draw_energy, draw_frame, draw_separation, draw_tracks
 from tracker.report.estimates_text import METHODS
 from tracker.report.pages import CAPTIONS
 from tracker.report.quantities import QUANTITIES

@@ -40,7 +40,7 @@ def row_of(clip, ball, frame):
 
 def found_beside_a_model(clips):
     """Find outliers about the base model, which was fitted to the clips with their outliers: rows."""
-    base = fit_base_model(clips, Model(), CLAIMED_NOISE, lambda stage: None)
+    base = fit_base_model(clips, Model(), CLAIMED_NOISE)
     return [find_outliers(c, x) for c, x in zip(clips, predict_tracks(base.model, base.launches, clips), strict=True)]
 
 
@@ -187,7 +187,7 @@ def test_one_note_lists_what_all_stretches_of_a_clip_lose():
 @pytest.mark.parametrize("frame", [1.0, pytest.param(40.0, marks=pytest.mark.gate), 78.0, 79.0])
 def test_a_lost_frame_is_none_however_near_the_end(frame):
     lost = Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": frame})
-    assert prepare_data(collisions(lost, 8, 3), Model(), lambda stage: None).left_out == ()
+    assert prepare_data(collisions(lost, 8, 3), Model()).left_out == ()
 
 
 def test_a_lost_frame_at_the_end_is_named(monkeypatch):

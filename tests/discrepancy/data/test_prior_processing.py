@@ -103,7 +103,7 @@ def test_of_smoothed_tracks_nothing_is_named_and_it_is_said():
 def test_a_smoothed_collision_of_which_too_little_is_left_has_no_part():
     """12 frames on either side, less 5 at either end: 2 are left."""
     clips = smoothed()
-    data = prepare_data([*clips[:3], near(clips[3], 12), *clips[4:]], Model(), lambda stage: None)
+    data = prepare_data([*clips[:3], near(clips[3], 12), *clips[4:]], Model())
     assert [n for n in data.left_out if str(n).startswith(f"clip {clips[3].clip}: too few positions")]
     assert clips[3].clip not in {clip.clip for clip in (*data.clips, *data.held_out)}
 

@@ -48,7 +48,7 @@ def test_each_collision_gives_the_striker_before_and_both_balls_after():
 def test_a_free_start_follows_any_motion_that_slides_and_then_rolls():
     """The paths are those of collisions; that of a stretch has no collision, and no law of the impact."""
     cut = cut_stretches(exact(Model(), 4, 2))
-    fit = fit_base_model(cut, Model(), SILENT, lambda stage: None)
+    fit = fit_base_model(cut, Model(), SILENT)
     assert set(fit.names) == {"sliding_friction", "rolling_drag", "rolling_decel"}
     for name in fit.names:
         assert fit.model.value(name) == pytest.approx(Model().value(name), rel=1e-4)
@@ -76,12 +76,12 @@ def test_an_effect_of_the_plate_is_named_whatever_the_impacts_were(monkeypatch, 
 def test_the_phase_that_disagrees_is_found_and_none_without_a_fault():
     for strength, phase in ((3e-4, "rolling"), (0.0, None)):
         cut = cut_stretches(noisy(exact(Model().replace({"plate_tilt.x": strength}), 6, 3), 3))
-        largest = find_disagreements(cut, fit_base_model(cut, Model(), SILENT, lambda stage: None), SILENT)[0]
+        largest = find_disagreements(cut, fit_base_model(cut, Model(), SILENT), SILENT)[0]
         assert (largest.phase if largest.sigma > 5 else None) == phase
 
 
 def test_stretches_of_one_recording_are_all_fitted_or_all_held_out():
-    data = prepare_data(noisy(exact(Model(), 6, 3), 3), Model(), lambda stage: None, stretches=True)
+    data = prepare_data(noisy(exact(Model(), 6, 3), 3), Model(), stretches=True)
     fitted, held_out = ({c.clip for c in clips} for clips in (data.clips, data.held_out))
     assert fitted.isdisjoint(held_out)
     assert len(fitted | held_out) == 6
@@ -108,9 +108,7 @@ def test_the_balls_of_a_crowd_give_stretches_that_hold_no_event():
 def test_recordings_without_a_long_stretch_are_refused_in_one_line():
     short = [c.select(np.flatnonzero(np.abs(c.frame / c.fps - c.launch[2]) < 0.03)) for c in exact(Model(), 8, 3)]
     with pytest.raises(InputError, match="no clip has free stretches that are long enough"):
-        prepare_data(
-            [dataclasses.replace(c, xy=c.xy + STD) for c in short], Model(), lambda stage: None, stretches=True
-        )
+        prepare_data([dataclasses.replace(c, xy=c.xy + STD) for c in short], Model(), stretches=True)
 
 
 def test_the_ranges_of_free_laws_are_those_that_stretches_cover():

@@ -8,6 +8,7 @@ from discrepancy_clips import collisions, exact
 
 from discrepancy.fitting.base_fit import check_clips, fit_base_model
 from discrepancy.noise.model import estimate_noise
+from discrepancy.time_left import showing_stages
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
 
@@ -23,7 +24,8 @@ def test_a_clock_thirty_times_slower_is_friction_nine_hundred_times_less():
     """Lengths alone do not tell time: all laws of the base model but gravity scale, and fit as well as before."""
     clips = collisions(Model(), 8, 4, frames=250)
     noise, stages = estimate_noise(clips), []
-    one, other = (fit_base_model(c, Model(), noise, stages.append) for c in (clips, [slower(c, 30) for c in clips]))
+    with showing_stages(stages.append):
+        one, other = (fit_base_model(c, Model(), noise) for c in (clips, [slower(c, 30) for c in clips]))
     assert one.chi2 == pytest.approx(other.chi2, abs=0.01)
     by = {"restitution": 1, "sliding_friction": 900, "spin_transfer": 1, "rolling_drag": 30, "rolling_decel": 900}
     for name, factor in by.items():
@@ -35,7 +37,7 @@ def test_friction_may_be_free_from_zero():
     """A model without any friction that asks for it to be fitted, and whose first fit is none."""
     clips = collisions(Model(), 8, 4)
     model = Model(sliding_friction=0.0, free=("sliding_friction",))
-    base = fit_base_model(clips, model, estimate_noise(clips), lambda stage: None, poor=0.0)
+    base = fit_base_model(clips, model, estimate_noise(clips), poor=0.0)
     assert base.model.value("sliding_friction") == pytest.approx(0.232, abs=3.5 * base.std["sliding_friction"])
 
 

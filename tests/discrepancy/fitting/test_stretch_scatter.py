@@ -29,7 +29,7 @@ def draw(scatter=0.0, warp=0.0, same=True):
             phases = rng.uniform(0, 2 * np.pi, (12, 2))
         shift = np.cos((clip.xy @ waves.T)[..., None] + phases).sum(axis=1) / np.sqrt(6)
         cut.append(dataclasses.replace(clip, xy=clip.xy + warp * shift))
-    return cut, fit_base_model(cut, Model(), CLAIMED_NOISE, lambda stage: None)
+    return cut, fit_base_model(cut, Model(), CLAIMED_NOISE)
 
 
 def test_none_where_nothing_differs():

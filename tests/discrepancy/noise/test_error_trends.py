@@ -88,6 +88,6 @@ def test_a_search_is_prepared_with_both():
         dataclasses.replace(guess, xy=made.xy)
         for guess, made in zip(noisy(exact(Model(), 8, 4), 4), clips, strict=True)
     ]
-    data = prepare_data(begun, Model(), lambda stage: None)
+    data = prepare_data(begun, Model())
     assert kinds(data.error_notes) == {SearchNoteKind.FRAME_SHIFT, SearchNoteKind.NOISE_BY_SPEED}
     assert data.noise.own.partial_autocorrelations == ()

@@ -44,7 +44,7 @@ def rubbed():
 def beside(rubbed, name, **shapes):
     evidence, base, known, ranking = rubbed
     scored = dataclasses.replace(ranking[name], shapes={f"{name}.{k}": v for k, v in shapes.items()})
-    return fit_law_with_effect(evidence, known, scored, base, lambda: None)
+    return fit_law_with_effect(evidence, known, scored, base)
 
 
 @pytest.fixture(scope="module")
@@ -53,13 +53,13 @@ def wrong_effect(rubbed):
     evidence, base, *_ = rubbed
     sigma, wrong = beside(rubbed, "viscous_friction")
     named = candidates_by_name(wrong.model_without_law, base.model, base.names)["viscous_friction"]
-    return sigma, wrong, named, refit_without_effect(evidence, wrong, named, base, lambda: None)
+    return sigma, wrong, named, refit_without_effect(evidence, wrong, named, base)
 
 
 def test_what_fits_better_in_the_place_of_an_effect_is_found(rubbed, wrong_effect):
     evidence, base, *_ = rubbed
     sigma, wrong, named, less = wrong_effect
-    ((name, best), *_) = find_replacements(evidence, less, named, (), base, lambda: None)
+    ((name, best), *_) = find_replacements(evidence, less, named, (), base)
     assert sigma > current_policy().free_law_sigma
     assert name == "stribeck"
     assert best.score < wrong.score - current_policy().rival_excluded_chi2
@@ -77,6 +77,4 @@ def test_a_shape_parameter_is_found_from_far_beside_a_free_law(rubbed):
 def test_an_effect_that_is_no_rival_is_not_asked(rubbed, wrong_effect):
     evidence, base, *_ = rubbed
     _, _, named, less = wrong_effect
-    assert "stribeck" not in [
-        name for name, _ in find_replacements(evidence, less, named, ("stribeck",), base, lambda: None)
-    ]
+    assert "stribeck" not in [name for name, _ in find_replacements(evidence, less, named, ("stribeck",), base)]
