@@ -198,10 +198,7 @@ def read_contacts(measured: Path | Sequence[Result] | pd.DataFrame) -> Contacts:
 def _iterate_estimates(
     measured: Path | Sequence[Result],
 ) -> Iterator[tuple[int, pd.DataFrame, float, Callable[[], pd.DataFrame]]]:
-    """Iterate over the clips that have local estimates.
-
-    Yields number, rows, the mass ratio of the camera file, and a function that gives the contacts of a crowd.
-    """
+    """Yield of clips with local estimates: number, rows, stated mass ratio, and a function that gives all contacts."""
     if isinstance(measured, Path):
         table = pd.read_parquet(measured / "estimates.parquet")
         if set(NEEDED) <= set(table):

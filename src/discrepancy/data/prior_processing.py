@@ -66,10 +66,7 @@ def _detect_grid(clips: Sequence[MeasuredCollision], min_values: int = 30, share
 
 
 def _detect_thinning(clips: Sequence[MeasuredCollision], min_values: int = 30, share: float = 0.98) -> float:
-    """The least step of moving balls, m, if frames are missing exactly where the step would be smaller; else 0.
-
-    The rule needs `min_values` steps and gaps, and must hold for that `share` of either.
-    """
+    """The least step of moving balls, m, if in this share of the gaps the step would be smaller; else 0."""
     kept, gaps = list[Array](), list[Array]()
     for clip in clips:
         for ball in (0, 1):

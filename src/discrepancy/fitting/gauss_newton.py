@@ -107,11 +107,7 @@ def _reduce_damping(damping: Array | float) -> Array | np.float64:
 
 
 def _find_failing_clips(fit: ModelFit, moved: ModelFit | None, held: Array) -> NDArray[np.bool_]:
-    """Clips that alone made a step fail, if they are few; only their launches are then damped.
-
-    Their chi^2 rises by more than a tenth of the largest rise. They are at most a fifth of the clips, and in the others
-    chi^2 falls.
-    """
+    """At most a fifth of the clips, which alone made a step fail: only their launches are then damped."""
     none = np.zeros(len(fit.residuals), dtype=bool)
     if moved is None or not fit.is_linearised_here:
         return none

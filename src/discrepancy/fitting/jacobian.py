@@ -176,10 +176,7 @@ def zero_unidentifiable_shapes(model: Model, names: Sequence[str], slopes: tuple
 
 
 def _zero_unidentifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Set to zero the derivatives (2n, p) by spins that move the tracks by less than one sigma at any possible size.
-
-    Without friction and spin transfer the tracks do not depend on a striker's spin; its derivative is rounding.
-    """
+    """Set to zero the derivatives by spins that move no track by a sigma: without friction they are rounding errors."""
     if launches.shape[1] != WITH_SPIN:
         return slopes
     sizes = np.array([np.linalg.norm(s[:, len(LAUNCH_COLUMNS) :], axis=0) for s in slopes])

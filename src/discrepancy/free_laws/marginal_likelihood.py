@@ -73,10 +73,7 @@ def cost_of_strengths(information: Array, found: Array) -> float:
 
 
 def _gain_at_sizes(values: Array, pulls: Array) -> tuple[Array, Array]:
-    """Sizes of a prior and the gain of each. values, pulls: the information, ascending, and pull along its axes.
-
-    The sizes run from 0.02 to 8,000 times what the data could just detect, in steps of a sixth in the logarithm.
-    """
+    """Sizes of a prior, from 0.02 to 8,000 times what data could just detect, and the gain of each; values ascend."""
     sizes = np.exp(np.linspace(-4, 9, 79)) / np.sqrt(max(values[-1], 1e-300))
     square = sizes[:, None] ** 2
     return sizes, (square * pulls**2 / (1 + square * values) - np.log1p(square * values)).sum(axis=1)

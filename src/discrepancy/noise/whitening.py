@@ -125,10 +125,7 @@ def _inverse_factor(component: NoiseComponent, frames: bytes, offsets: bytes) ->
 def _inverse_factor_of_both(
     own: NoiseComponent, shared: tuple[NoiseComponent, ...], frames: bytes, balls: bytes, roots: bytes, offsets: bytes
 ) -> Array:
-    """The filter of the rows of both balls and both axes, in order of frames, for noise that balls share.
-
-    Clips with the same frames and claimed errors share it by the cache.
-    """
+    """The filter of both balls and axes, in order of frames, for shared noise; clips with the same frames share it."""
     order = np.argsort(np.repeat(np.frombuffer(frames, dtype=np.int64), 2), kind="stable")
     out = _invert_covariance_factor(_covariance_of_both(own, shared, frames, balls, roots, offsets), order)
     out.flags.writeable = False

@@ -252,10 +252,7 @@ def _gap_by_phase_figure(found: SearchOutcome) -> Figure:
 
 
 def _draw_gap_bars(ax: Axes, gap: Gap, ending: str, models: list[str]) -> None:
-    """Draw the gap by phase and in all phases as bars: of each model, and of noise alone.
-
-    ending: "" for χ² per point, "_um" for rms in µm.
-    """
+    """Draw the gap by phase as bars, of each model and of noise; ending: "" for χ² per point, "_um" for rms in µm."""
     parts = {**gap.by_phase, "all": gap}
     kinds = [
         *zip(("before", "after"), (COLOURS["base"], COLOURS["best"]), models, strict=False),

@@ -113,10 +113,7 @@ def _steepness(contacts: Contacts) -> Array:
 
 
 def _across(contacts: Contacts) -> Array:
-    """The share of Coulomb friction that acts in the plane.
-
-    The surface of a rolling striker also moves down at the contact, at about its speed; that of a disc does not.
-    """
+    """The share of Coulomb friction in the plane: the surface of a rolling striker, not of a disc, also moves down."""
     return np.asarray((contacts.slip_t / np.maximum(contacts.slip, 1e-9))[:, None])
 
 

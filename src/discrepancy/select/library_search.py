@@ -181,10 +181,7 @@ def choose_simplest(library: LibraryFits, keys: Collection[Key]) -> Key:
 def _choose_contenders(
     library: LibraryFits, tests: ScoreTests, ranking: Sequence[CandidateScore], max_rivals: int = 8
 ) -> list[CandidateScore]:
-    """Choose the candidates to fit: those that may explain as much as the leader, or have a similar signature.
-
-    Their shape parameters are first refined between the grid values. At most `max_rivals` candidates remain.
-    """
+    """Choose candidates, with refined shapes, that may explain as much as the leader or have a similar signature."""
     least = ranking[0].gain / 2 - SCORE_ERROR_CHI2
     chosen = [tests.sharper(library.evidence, c) if c.gain > least else c for c in ranking if c.gain > 0]
     leader = max(chosen, key=lambda c: c.sigma)

@@ -512,10 +512,7 @@ def _predict_with_law(
     held_out: HeldOutClips,
     with_law: tuple[ModelFit | None, Residuals],
 ) -> Predictions:
-    """Test a free law itself. A law of one number for each clip promises only how much these numbers scatter.
-
-    with_law: the fit of the held-out clips, and the leave-one-out residuals of the fitted ones.
-    """
+    """Test a free law itself; a law of one number for each clip promises only how much these numbers scatter."""
     own, (with_, residuals) = free_law.sigma, with_law
     try:
         empty = fit_without_law(library.evidence, free_law)

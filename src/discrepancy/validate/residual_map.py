@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -112,12 +112,22 @@ def find_disagreements_by_phase(
     clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise
 ) -> Iterator[tuple[Where, PhaseResult]]:
     """Locate disagreements by phase, ball and axis: see `find_disagreements`."""
-    amplitudes: dict[Where, list[ClipAmplitudes]] = {}
+    return _test_clips(_phase_amplitudes, clips, fit, noise)
+
+
+def _test_clips(
+    amplitudes: Callable[..., Iterator[tuple[Where, ClipAmplitudes]]],
+    clips: Sequence[MeasuredCollision],
+    fit: ModelFit,
+    noise: Noise,
+) -> Iterator[tuple[Where, PhaseResult]]:
+    """Make every test in all clips together; none where the shared parameters can make all that it sees."""
+    found: dict[Where, list[ClipAmplitudes]] = {}
     expected, shared = predict_tracks(fit.model, fit.launches, clips), _unit_slopes(fit)
     for k, clip in enumerate(clips):
-        for where, part in _phase_amplitudes(clip, expected[k], fit, k, shared[k], noise):
-            amplitudes.setdefault(where, []).append(part)
-    for where, parts in amplitudes.items():
+        for where, part in amplitudes(clip, expected[k], fit, k, shared[k], noise):
+            found.setdefault(where, []).append(part)
+    for where, parts in found.items():
         for result in combine_clips(parts):
             yield where, result
 
@@ -156,30 +166,14 @@ def _phase_amplitudes(
             rows = np.isin(stage, [s for name in names for s in TERMS[name]]) & (clip.ball == b)
             for a in range(2):
                 wanted = [j for j in range(first, len(terms)) if terms[j][1:] == (b, a)]
-                kept = [i for i, j in enumerate(wanted) if solved.kept[j]]
-                if not kept:
+                mine = [j for j in wanted if solved.kept[j]]
+                if not mine:
                     continue
-                mine = [wanted[i] for i in kept]
-                pulls, per_metre, by_shared = solved.group(mine)
-                full, squares = np.zeros((len(pulls), len(wanted))), np.zeros((len(wanted), len(wanted)))
-                full[:, kept] = per_metre
                 columns = np.einsum("na,nai->ni", motion[rows, a], raw[rows][..., mine])
                 columns = _remove_powers(columns, time[rows], powers - (phase == "before" and b == 0))
-                squares[np.ix_(kept, kept)] = columns.T @ columns
-                yield (
-                    (phase, b, a),
-                    ClipAmplitudes(
-                        pulls=pulls,
-                        per_metre=full,
-                        shared=by_shared,
-                        information=solved.information,
-                        pull=solved.pull,
-                        products=squares,
-                        rows=int(rows.sum()),
-                        residual_squares=float(((clip.xy - path)[rows] ** 2).sum()),
-                        features=_features(fit.launches[k], path[rows].mean(axis=0), motion[rows, a].mean(axis=0)),
-                    ),
-                )
+                features = _features(fit.launches[k], path[rows].mean(axis=0), motion[rows, a].mean(axis=0))
+                products, off = columns.T @ columns, (clip.xy - path)[rows]
+                yield (phase, b, a), solved.amplitudes(mine, wanted, products, off, features)
 
 
 def _remove_powers(columns: Array, time: Array, powers: int) -> Array:
@@ -229,38 +223,25 @@ def find_ripples(
     once over pi times its diameter. Its initial orientation is unknown. So the ripple has a free phase in each stretch
     of rolling, before the contact and after the slide. Cubics of time are free beside the ripple.
     """
-    found: dict[Where, list[ClipAmplitudes]] = {}
-    expected, shared = predict_tracks(fit.model, fit.launches, clips), _unit_slopes(fit)
-    for k, clip in enumerate(clips):
-        white = ClipWhitener.of(clip, noise)
-        for name, times in (("once a turn", 1), ("twice a turn", 2)):
-            terms, raw = _ripple_terms(clip, expected[k], times)
-            if not terms:
-                continue
-            solved = ClipSolution.of(fit.launch_slopes[k], white(raw), fit.residuals[k], shared[k])
-            for which in sorted({term for term in terms if term}):
-                mine = [i for i, term in enumerate(terms) if term == which and solved.kept[i]]
-                if not mine:
-                    continue
+    return _test_clips(_ripple_amplitudes, clips, fit, noise)
+
+
+def _ripple_amplitudes(
+    clip: MeasuredCollision, path: Array, fit: ModelFit, k: int, shared: Array, noise: Noise
+) -> Iterator[tuple[Where, ClipAmplitudes]]:
+    """Yield the amplitudes of one clip in every test of a ripple."""
+    white = ClipWhitener.of(clip, noise)
+    for name, times in (("once a turn", 1), ("twice a turn", 2)):
+        terms, raw = _ripple_terms(clip, path, times)
+        if not terms:
+            continue
+        solved = ClipSolution.of(fit.launch_slopes[k], white(raw), fit.residuals[k], shared)
+        for which in sorted({term for term in terms if term}):
+            mine = [i for i, term in enumerate(terms) if term == which and solved.kept[i]]
+            if mine:
                 columns = raw[..., mine]
-                pulls, per_metre, by_shared = solved.group(mine)
-                rows = (columns != 0).any(axis=(1, 2))
-                found.setdefault((name, *which), []).append(
-                    ClipAmplitudes(
-                        pulls=pulls,
-                        per_metre=per_metre,
-                        shared=by_shared,
-                        information=solved.information,
-                        pull=solved.pull,
-                        products=np.einsum("nai,naj->ij", columns, columns),
-                        rows=int(rows.sum()),
-                        residual_squares=float(((clip.xy - expected[k])[rows] ** 2).sum()),
-                        features={},
-                    )
-                )
-    for where, parts in found.items():
-        for result in combine_clips(parts):  # none if the shared parameters can make them all
-            yield where, result
+                products, rows = np.einsum("nai,naj->ij", columns, columns), (columns != 0).any(axis=(1, 2))
+                yield (name, *which), solved.amplitudes(mine, mine, products, (clip.xy - path)[rows], {})
 
 
 def _ripple_terms(
@@ -414,11 +395,29 @@ class ClipSolution:
             pull=rest.T @ residual,
         )
 
-    def group(self, rows: list[int]) -> tuple[Array, Array, Array]:
-        """Pulls of unit variance of some terms, with all others free; the same by a metre and by shared parameters."""
-        upper = np.linalg.qr(self.root[rows].T, mode="r")
+    def amplitudes(
+        self, mine: list[int], wanted: list[int], products: Array, off: Array, features: dict[str, Array]
+    ) -> ClipAmplitudes:
+        """The clip's part in a test of the wanted terms, with all others free; it determines the terms `mine`.
+
+        products: of the terms `mine`, as in the part. off (n, 2): the residuals in the rows of the test, m.
+        """
+        upper = np.linalg.qr(self.root[mine].T, mode="r")
         whiten = np.linalg.inv(upper * np.sign(np.diag(upper))[:, None]).T
-        return whiten @ self.amplitude[rows], whiten * self.length[rows], whiten @ self.shared[rows]
+        at, size = [wanted.index(j) for j in mine], len(wanted)
+        per_metre, squares = np.zeros((len(mine), size)), np.zeros((size, size))
+        per_metre[:, at], squares[np.ix_(at, at)] = whiten * self.length[mine], products
+        return ClipAmplitudes(
+            pulls=whiten @ self.amplitude[mine],
+            per_metre=per_metre,
+            shared=whiten @ self.shared[mine],
+            information=self.information,
+            pull=self.pull,
+            products=squares,
+            rows=len(off),
+            residual_squares=float((off**2).sum()),
+            features=features,
+        )
 
 
 def combine_clips(parts: Sequence[ClipAmplitudes], min_shared: float = 1e-6) -> Iterator[PhaseResult]:
@@ -456,10 +455,7 @@ def _stack_clips(columns: Sequence[Array], rest: int) -> Array:
 
 
 def _span(columns: Array, besides: Array | None = None, min_share: float = 1e-3) -> Array:
-    """An orthonormal basis of the span of columns, less the span of the orthonormal `besides`.
-
-    A column counts if the others leave this share of its length.
-    """
+    """An orthonormal basis of columns, less the orthonormal `besides`; of a column the others must leave this share."""
     length = np.linalg.norm(columns, axis=0)
     unit = columns / np.where(length > 0, length, 1)
     if besides is not None:

@@ -141,5 +141,6 @@ def test_pulls_have_unit_variance_however_similar_the_terms_are(apart):
     terms[:, 3], terms[:, 4] = terms[:, 2] + apart * terms[:, 3], terms[:, 3] + apart * terms[:, 4]
     solved = [ClipSolution.of(launch, terms, unit, np.zeros((40, 0))) for unit in np.eye(40)]
     assert solved[0].kept.all()
-    pulls = np.array([one.group([1, 2, 3, 4])[0] for one in solved])
+    rows, nothing = [1, 2, 3, 4], np.zeros((0, 2))
+    pulls = np.array([one.amplitudes(rows, rows, np.eye(4), nothing, {}).pulls for one in solved])
     assert pulls.T @ pulls == pytest.approx(np.eye(4), abs=1e-3)
