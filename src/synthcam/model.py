@@ -12,7 +12,6 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, ValidationError, create_model, model_validator
 
 from synthcam.effect import ActiveLaws, Effect
@@ -20,11 +19,9 @@ from synthcam.library import cache_until_effects_change, library
 from synthcam.settings import read_yaml
 from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TabulatedLaw, kind_of, table_names
 from synthcam_shared.arguments import check_arguments
+from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Fraction, Positive, Settings, did_you_mean, to_input_error
-
-Array = NDArray[np.float64]
-
 
 SOLID_BALL = 0.4  # I/(m R^2)
 
@@ -264,7 +261,7 @@ class Model:
         """
         return self.bodies_where(np.array([label == "a" for label in labels], dtype=bool))
 
-    def bodies_where(self, is_a: NDArray[np.bool_]) -> Bodies:
+    def bodies_where(self, is_a: Flags) -> Bodies:
         """Radii and masses of balls a and b, as `bodies` gives them, for many balls quickly.
 
         Parameters

@@ -14,9 +14,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
+
 RELATIVE_TOLERANCE = 1e-9  # closer values, or edges of pieces, are the same
 GAUSSIAN_WIDTH = 0.75  # over the mean spacing: curve and straight lines differ little
 GAUSSIAN_REACH = 9.0  # standard deviations: beyond, a Gaussian is zero in double precision

@@ -14,12 +14,11 @@ from functools import cached_property, partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from synthcam.effect import LAWS, VECTOR_INPUTS, Effect, Parameter
 from synthcam.table import SmoothTable, to_tuples
+from synthcam_shared.arrays import Array
 
-Array = NDArray[np.float64]
 Owners = tuple[tuple[str, int], ...]
 
 REFERENCE_SPEED_M_S = 0.1  # at which the proportional part of a rolling loss is given

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from synthcam_shared.arrays import Array
 
 
-def inverse_roots(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def inverse_roots(covariance: Array) -> Array:
     """Lower triangular W (..., n, n) with W^T W = C^-1: W times errors of covariance C has unit covariance.
 
     Raises LinAlgError where a covariance is not positive definite.

@@ -18,7 +18,8 @@ FILES = sorted(SRC.rglob("*.py"))
 # from one below. A file that stands in no row counts as its folder.
 LAYERS = {
     "synthcam_shared": [
-        "errors interruption job_result lazy_names steps track_formats whitening",
+        "arrays errors interruption job_result lazy_names steps track_formats",
+        "whitening",
         "arguments outputs settings application start dask_cluster",
         "overwriting jobs",
         "report",

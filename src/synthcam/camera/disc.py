@@ -7,9 +7,8 @@ are in m. A centre is that of the cylinder.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

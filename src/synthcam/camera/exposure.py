@@ -10,14 +10,11 @@ from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from synthcam.camera.pinhole import PinholeCamera
+from synthcam_shared.arrays import Array, Float32, Index
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Index = NDArray[np.intp]
 Box = tuple[slice, slice]
 
 

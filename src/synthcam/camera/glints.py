@@ -4,14 +4,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from synthcam.camera import reflections
 from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.surface import STEEL_ON_BLACK, Surface
+from synthcam_shared.arrays import Array, Flags, Index
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 MAX_PATHS_AT_ONCE = 4096  # larger batches save no time
 
 
@@ -41,7 +39,7 @@ def find_glints(
     lamp: Lamp,
     centres: Array,
     radii: Array,
-    light: Array | NDArray[np.bool_],
+    light: Array | Flags,
     surface: Surface = STEEL_ON_BLACK,
     settings: GlintSettings = GlintSettings(),
 ) -> GlintImages:
@@ -98,7 +96,7 @@ def _spread_by_facets(surface: Surface, spread: Array, flux: Array, tilted: Arra
 
 
 def _batch_chains(
-    lengths: Iterable[tuple[Index, Index]], wanted: NDArray[np.bool_], bounces: range, paths: int
+    lengths: Iterable[tuple[Index, Index]], wanted: Flags, bounces: range, paths: int
 ) -> Iterator[tuple[Index, Index]]:
     """Batch the chains of each length: balls (n, k) and moments (n,), with all moments of a chain in one batch.
 

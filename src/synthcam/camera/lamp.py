@@ -5,9 +5,9 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
+
 LampShape = Literal["disc", "ring", "bar"]
 
 

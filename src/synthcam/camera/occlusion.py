@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from synthcam.camera.pinhole import Array, PinholeCamera
+from synthcam.camera.pinhole import PinholeCamera
+from synthcam_shared.arrays import Array, Flags
 
 OUTLINE_POINTS = 400  # of the outline of a ball, evenly spread, that are looked for behind the others
 
@@ -34,7 +34,7 @@ def compute_hidden_shares(camera: PinholeCamera, centres: Array, radii: Array, *
         pairs = cKDTree(way).query_pairs(4 * np.sin(angle.max() / 2), output_type="ndarray")
         between = 2 * np.arcsin(np.minimum(np.linalg.norm(way[pairs[:, 0]] - way[pairs[:, 1]], axis=1) / 2, 1.0))
         pairs = pairs[between < angle[pairs].sum(axis=1)]
-        covered: dict[int, NDArray[np.bool_]] = {}
+        covered: dict[int, Flags] = {}
         for one, other in pairs.tolist():
             back, front = (one, other) if far[one] > far[other] else (other, one)
             if back not in covered:
@@ -46,7 +46,7 @@ def compute_hidden_shares(camera: PinholeCamera, centres: Array, radii: Array, *
     return out
 
 
-def _overlap(eye: Array, centres: Array, radii: Array) -> NDArray[np.bool_]:
+def _overlap(eye: Array, centres: Array, radii: Array) -> Flags:
     """Tell for each frame whether the outlines of two balls overlap, as the camera sees them."""
     sight = centres - eye
     far = np.linalg.norm(sight, axis=2)

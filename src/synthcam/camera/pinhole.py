@@ -10,14 +10,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from synthcam.camera import reflections
 from synthcam.camera.lamp import Lamp
+from synthcam_shared.arrays import Array
 
 __all__ = ["Lamp", "PinholeCamera", "locate_glint", "project_glint"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,11 @@ The plate does not move: it is computed once for a film, in double precision.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.surface import Surface
-
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
 
 BLACK_PLATE_RADIANCE = 0.05  # of the plate under the lamp, over that of the room seen in a ball
 SMALL_LAMP_M = 0.03  # radius of a disc below which its shadows are those of a point

@@ -7,11 +7,10 @@ come first, in closed form, sampled so finely that no frequency folds back.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 from scipy.special import j1
 
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array, Float32
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class Psf:
             out *= 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
         return out
 
-    def spread(self, patches: NDArray[np.float32]) -> NDArray[np.float32]:
+    def spread(self, patches: Float32) -> Float32:
         """Blur patches (n, w steps, w steps), and sample them at the pixels (n, w, w)."""
         if self.is_gaussian:
             return patches

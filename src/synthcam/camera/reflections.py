@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from synthcam_shared.arrays import Array, Flags, Index
 
 CHAINS_AT_ONCE = 8192  # that are grown together, to save memory
 MIN_RELATIVE_FLUX = 1e-4  # flux of a secondary glint over that of the primary, below which it is left out
@@ -27,7 +25,7 @@ class Paths:
     points: Array  # reflection points (M, k, 3), lamp side first, m
     transfer: Array  # derivative (M, 3, 3) of the last point by the lamp's position
     cosines: Array  # cosine (M, k) of the angle of incidence at each point
-    exists: NDArray[np.bool_]  # (M,) False if the straight line crosses a ball, so that nothing is reflected
+    exists: Flags  # (M,) False if the straight line crosses a ball, so that nothing is reflected
 
 
 def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
@@ -137,7 +135,7 @@ def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple
 
 def find_blocked_paths(
     lamp: Array, eye: Array, paths: Paths, balls: Index, centres: Array, radii: Array, moment: Index, near: "NearBalls"
-) -> NDArray[np.bool_]:
+) -> Flags:
     """Find the paths of light (M,) that a third ball blocks.
 
     balls: (M, k) of each path. centres: (T, N, 3). radii: (N,). moment: (M,) of each path. near: within the distance

@@ -10,18 +10,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from synthcam.camera.exposure import (
-    Array,
-    Float32,
-    Index,
-    Picture,
-    merge_boxes,
-    outline_half_width,
-    split_at_breaks,
-)
+from synthcam.camera.exposure import Picture, merge_boxes, outline_half_width, split_at_breaks
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.psf import Psf
+from synthcam_shared.arrays import Array, Float32, Index
 
 Centres = Callable[[Array], Array]  # times (T,), s -> centres of the balls (T, N, 3), m
 Pictures = tuple[Picture, ...]  # one per channel

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, ndtr
 
 from synthcam.camera.exposure import Picture
+from synthcam_shared.arrays import Array, Float32, Index
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Part = slice | NDArray[np.intp]
+Part = slice | Index
 Counts = NDArray[np.unsignedinteger[Any]]  # uint8 or uint16
 
 CELLS_OF_TABLE = 1 << 16  # one for each 16-bit random number
@@ -135,7 +134,7 @@ class _Background:
         means.flat[chip.hot] = np.median(means)  # hot pixels are drawn separately
         top = means.max() + 9 * np.sqrt(means.max() + 1) + chip.offset.max()
         self.deep = bool(top > sensor.full_well)
-        self.groups: list[tuple[NDArray[np.intp], Float32, Float32]] = []
+        self.groups: list[tuple[Index, Float32, Float32]] = []
         if self.deep:
             return
         variance = means + sensor.read_noise**2

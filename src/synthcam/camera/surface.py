@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
 
 # Reflectance of chrome steel in green light at normal incidence, for Schlick's law. The lamp's images of order 2, 3, 4
 # between balls in contact then carry 5.3, .9, .2 % of the primary.

@@ -10,11 +10,11 @@ import numpy as np
 
 from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
 from synthcam.dataset.preview import mark_picture
-from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.launch import Launch
 from synthcam.effect import Effect
 from synthcam.model import Model
 from synthcam.scene.film_time import FilmedMotion
+from synthcam_shared.arrays import Array
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 
 EXAMPLE_LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact": (-0.01, 0.0)}

@@ -19,6 +19,7 @@ from synthcam.scene.clip import Clip
 from synthcam.scene.outlines import find_boxes, label_pixels
 from synthcam.scene.scene import Scene, rebuild_clip
 from synthcam_shared.arguments import check_arguments
+from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
     from synthcam.dataset.recorded_dataset import RecordedClip
 
-Array = NDArray[np.float64]
 MAX_FAILURES_IN_A_ROW = 10  # of clips that cannot be made; then the scene is at fault
 
 
@@ -72,7 +72,7 @@ class LabelledFrame:
     ids: NDArray[np.int64]
     centres: Array
     boxes: Array
-    visible: NDArray[np.bool_]
+    visible: Flags
     positions: Array
 
     def __repr__(self) -> str:
@@ -88,7 +88,7 @@ class LabelledFrame:
         return label_pixels(clip.camera, self.positions, radii, self.boxes, numbers, heights)
 
     @property
-    def masks(self) -> NDArray[np.bool_]:
+    def masks(self) -> Flags:
         """(n, height, width): the pixels of each ball."""
         return np.asarray(self.labels == (self.ids + 1)[:, None, None])
 

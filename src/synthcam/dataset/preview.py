@@ -22,6 +22,7 @@ from synthcam.scene.clip import Clip
 from synthcam.scene.outlines import find_boxes
 from synthcam.scene.scene import check_scene
 from synthcam.scene.sensor_frames import Counts
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 from synthcam_shared.overwriting import check_replaceable
@@ -142,7 +143,7 @@ def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]]) -> None:
     writer.release()
 
 
-def _crop_to_paths(clip: Clip, positions: NDArray[np.float64]) -> tuple[slice, slice]:
+def _crop_to_paths(clip: Clip, positions: Array) -> tuple[slice, slice]:
     """Rows and columns around the paths (N, T, 3) of the balls; even numbers of both, for MPEG."""
     px = clip.camera.project(positions.reshape(-1, 3))
     width, height = clip.camera.size
@@ -198,7 +199,7 @@ def _enlarge(picture: NDArray[np.uint8], times: int) -> NDArray[np.uint8]:
     return picture.repeat(times, axis=0).repeat(times, axis=1)
 
 
-def _list_outlines(clip: Clip, k: int) -> NDArray[np.float64]:
+def _list_outlines(clip: Clip, k: int) -> Array:
     """Boxes (n, 4) of the outlines, px, of the bodies in frame k: the two that hit first, then all others."""
     centres, hit = clip.view.at(np.array([k / clip.camera.fps]))[:, 0, :3], clip.view.motion.first("contact")
     boxes = find_boxes(clip.camera, centres, clip.launch.bodies.radius, clip.heights)
@@ -206,9 +207,7 @@ def _list_outlines(clip: Clip, k: int) -> NDArray[np.float64]:
     return np.array([boxes[body] for body in order if (boxes[body, 2:] - boxes[body, :2] > 0.5).all()]).reshape(-1, 4)
 
 
-def _with_inset(
-    picture: NDArray[np.uint8], outlines: NDArray[np.float64], magnify: int, clip: Clip
-) -> NDArray[np.uint8]:
+def _with_inset(picture: NDArray[np.uint8], outlines: Array, magnify: int, clip: Clip) -> NDArray[np.uint8]:
     """Add a strip below the frame: a magnified part, on a black plate brightened.
 
     outlines: as of `_list_outlines`. The part has the first two bodies with their surroundings where they are near each
@@ -217,7 +216,7 @@ def _with_inset(
     height, width = picture.shape[:2]
     room = np.array([width, max(width // 2, 1)])
 
-    def find_part(bodies: NDArray[np.float64]) -> tuple[int, NDArray[np.float64]]:
+    def find_part(bodies: Array) -> tuple[int, Array]:
         """Find how many times larger bodies fit into the strip with half a body around them, and their middle."""
         low, high = bodies[:, :2].min(axis=0), bodies[:, 2:].max(axis=0)
         around = 0.5 * (bodies[:, 2:] - bodies[:, :2]).max()

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from synthcam.dynamics import kinematics
 from synthcam.dynamics.contacts.contact_time import STAYING
@@ -25,12 +24,11 @@ from synthcam.dynamics.forces import (
     SLIDE,
     ZERO_SPEED_M_S,
     BallStates,
-    Ints,
     classify_modes,
     find_ending_slip,
 )
 from synthcam.dynamics.integrated_motion import snap_to_goal
-from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_state, rolling_velocity
+from synthcam.dynamics.kinematics import contact_velocity, rolling_state, rolling_velocity
 from synthcam.dynamics.launch import NO_SPIN, Launch, launch_touching_pairs
 from synthcam.dynamics.propagate import IntegrationStep, propagate, propagate_back
 from synthcam.dynamics.segments import (
@@ -55,6 +53,7 @@ from synthcam.dynamics.start_from_rest import (
     solve_approach,
 )
 from synthcam.model import Bodies, Model
+from synthcam_shared.arrays import Array, Flags, Index
 
 # position of the contact, m; its time, s; speed, m/s, and heading, rad, of the striker; b over the sum of the radii
 LAUNCH_COLUMNS = ("x", "y", "t_c", "v0", "heading", "b")
@@ -75,7 +74,7 @@ class CollisionBatch:
     # collisions in which a ball stops and starts again; `solve` takes them over
     restarting: set[int] = field(default_factory=set)
     # (k,): collisions whose balls may meet again
-    recontact_candidates: Ints = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    recontact_candidates: Index = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     radius: Array = field(default_factory=lambda: np.empty(0))  # (2n,)
 
     @property
@@ -180,7 +179,7 @@ def solve_collisions(
     return _solve_one_by_one(model, launches, is_a, run.out, odd[~free[odd]])
 
 
-def _find_second_contacts(out: CollisionBatch, both: Bodies) -> Ints:
+def _find_second_contacts(out: CollisionBatch, both: Bodies) -> Index:
     """Find collisions whose balls overlap after the impact, so that a second impact is missing.
 
     Between kinks the paths are parabolas or nearly so, which selects suspects; these are checked at many times.
@@ -210,9 +209,7 @@ def _find_second_contacts(out: CollisionBatch, both: Bodies) -> Ints:
     return np.asarray(suspects[gap.min(axis=1) < -overlap])
 
 
-def _solve_one_by_one(
-    model: Model, launches: Array, is_a: NDArray[np.bool_], out: CollisionBatch, which: Ints
-) -> CollisionBatch:
+def _solve_one_by_one(model: Model, launches: Array, is_a: Flags, out: CollisionBatch, which: Index) -> CollisionBatch:
     """Replace the motion of some collisions by that of `solve`."""
     if len(which) == 0:
         return out
@@ -236,7 +233,7 @@ def _solve_one_by_one(
 
 
 def _solve_free_balls(
-    model: Model, states: Array, spans: tuple[Array, Array], bodies: Bodies, out: CollisionBatch, which: Ints
+    model: Model, states: Array, spans: tuple[Array, Array], bodies: Bodies, out: CollisionBatch, which: Index
 ) -> None:
     """Replace the motion of some balls that meet nothing, from their states (k, 9) on, by that of `solve`.
 
@@ -256,7 +253,7 @@ def _solve_free_balls(
         out.slide_ends[row] = slid[0] if slid else t_c[k]
 
 
-def _group_by_size(who: Ints, size: Array) -> list[Ints]:
+def _group_by_size(who: Index, size: Array) -> list[Index]:
     """Group the balls `who` by size, at most MAX_GROUP each: similar balls need the same pieces and as many frames."""
     return np.array_split(who[np.argsort(size)], -(-len(who) // MAX_GROUP)) if len(who) else []
 
@@ -273,7 +270,7 @@ class _BatchSolver:
         self.bent = {mode: model.laws.has_effect_on(*laws) for mode, laws in LAWS.items()}  # without closed form
         self.floor = np.full(len(t_c), np.inf)
 
-    def start_alone(self, which: Ints, targets: Array, strikers: Array) -> None:
+    def start_alone(self, which: Index, targets: Array, strikers: Array) -> None:
         """Add what is known of strikers that meet nothing until their launch, in states (k, 9): they move straight on.
 
         targets: states of the balls beside them, which rest and which nobody sees.
@@ -287,7 +284,7 @@ class _BatchSolver:
         begins, radius = np.full(len(past), self.out.start), self.bodies.radius[past]
         self.out.segments.append(RollSegment(past, begins, launched, launched, strikers[early], radius, 0.0, 0.0))
 
-    def solve_approach(self, states: Array, meet: NDArray[np.bool_]) -> Array:
+    def solve_approach(self, states: Array, meet: Flags) -> Array:
         """Solve the approach, targets at rest, strikers rolling or sliding; return their states at the contact.
 
         states: (2n, 9), at the contact. meet: (n,), collisions that happen.
@@ -312,7 +309,7 @@ class _BatchSolver:
                 self._slide_before(own, states[own], start[own])
         return states
 
-    def _slide_before(self, who: Ints, states: Array, start: Array) -> None:
+    def _slide_before(self, who: Index, states: Array, start: Array) -> None:
         """Add slides in closed form that end in these states at the contacts."""
         radius, slowing = self.bodies.radius[who], np.full(len(who), self.model.sliding_friction * self.model.gravity)
         inertia = self.bodies.inertia[who]
@@ -367,31 +364,31 @@ class _BatchSolver:
         waver = 5e-3 if self.bent[ROLL] else 0.0
         self.out.recontact_candidates = np.flatnonzero(both[1] < 0.1 * both[0] + waver)
 
-    def _advance(self, live: NDArray[np.bool_], modes: Ints, states: Array, now: Array) -> None:
+    def _advance(self, live: Flags, modes: Index, states: Array, now: Array) -> None:
         """Solve the next leg of the balls that are `live`, each alone."""
         for mode, advance in ((FLY, self._fly), (SLIDE, self._slide), (ROLL, self._roll_on), (REST, self._stay)):
             who = np.flatnonzero(live & (modes == mode))
             if len(who):
                 advance(who, states, now)
 
-    def _add_kink(self, who: Ints, when: Array) -> None:
+    def _add_kink(self, who: Index, when: Array) -> None:
         if np.any(np.isfinite(self.kinks[-1][who])):
             self.kinks.append(np.full(len(self.t_c), np.inf))
         self.kinks[-1][who] = when
 
-    def _set_ending_slips(self, who: Ints, states: Array) -> None:
+    def _set_ending_slips(self, who: Index, states: Array) -> None:
         """Set the slips at which balls with an event will no longer drill."""
         n = len(states) // 2
         if self.model.laws.has_effect_on("drilling"):
             other = [(states[(who + n) % (2 * n)] - states[who])[:, None, :2]] if self.mutual else []
             self.floor[who] = find_ending_slip(self.model, states[who], self.bodies[who], *other)
 
-    def _propagate(self, who: Ints, states: Array, now: Array) -> None:
+    def _propagate(self, who: Index, states: Array, now: Array) -> None:
         balls = BallStates(self.model, self.bodies[who], states[who], self.floor[who])
         for units, step in propagate(balls, self.ends[who] - now[who]):
             self._add_step(who[units], step, states, now)
 
-    def _propagate_pairs(self, who: Ints, states: Array, now: Array, modes: Ints) -> None:
+    def _propagate_pairs(self, who: Index, states: Array, now: Array, modes: Index) -> None:
         """Integrate pairs of balls that push each other by one step."""
         samples = 24  # within the step, at which a ball at rest is checked for the push that starts it
         n, rows = len(states) // 2, np.concatenate([who, who + len(states) // 2])
@@ -408,7 +405,7 @@ class _BatchSolver:
                 self.out.restarting |= set((mine[still[loose]] % n).tolist())
             self._add_step(mine, step, states, now)
 
-    def _add_step(self, who: Ints, step: IntegrationStep, states: Array, now: Array) -> None:
+    def _add_step(self, who: Index, step: IntegrationStep, states: Array, now: Array) -> None:
         """Record an integrated step of the balls `who`."""
         self.out.segments += IntegratedSegment.of(who, step.motion.shift(now[who]), self.ends[who])
         modes = classify_modes(states[who], self.bodies.radius[who])
@@ -418,18 +415,18 @@ class _BatchSolver:
         if len(ended):
             self._add_kink(ended, now[ended])
 
-    def _stay(self, who: Ints, states: Array, now: Array) -> None:
+    def _stay(self, who: Index, states: Array, now: Array) -> None:
         self._rest(who, states[who], now, np.full(len(now), np.inf))
         now[who] = self.ends[who]
 
-    def _rest(self, who: Ints, held: Array, now: Array, until: Array) -> None:
+    def _rest(self, who: Index, held: Array, now: Array, until: Array) -> None:
         held[:, 3:8] = 0.0
         if self.bent[FLY]:
             loose = excess_push(self.model, self.bodies[who], held, np.full((2, 1, 1), np.inf))[:, 0] > 0
             self.out.restarting |= set((who[loose] % (len(self.t_c) // 2)).tolist())
         self.out.segments.append(RestSegment(who, now[who], until[who], held))
 
-    def _land(self, who: Ints, states: Array, now: Array) -> None:
+    def _land(self, who: Index, states: Array, now: Array) -> None:
         before = contact_velocity(states[who], self.bodies.radius[who])
         after = land_on_plate(self.model, states[who], self.bodies[who])
         slips = contact_velocity(after, self.bodies.radius[who])
@@ -447,7 +444,7 @@ class _BatchSolver:
         self.rolled[who[rolls]] = True
         self._add_kink(who, now[who])
 
-    def _fly(self, who: Ints, states: Array, now: Array) -> None:
+    def _fly(self, who: Index, states: Array, now: Array) -> None:
         if self.bent[FLY]:
             self._propagate(who, states, now)
             return
@@ -459,7 +456,7 @@ class _BatchSolver:
         states[who, 2] = self.bodies.radius[who]
         now[who] = ends
 
-    def _slide(self, who: Ints, states: Array, now: Array) -> None:
+    def _slide(self, who: Index, states: Array, now: Array) -> None:
         if self.bent[SLIDE]:
             u = contact_velocity(states[who], self.bodies.radius[who])
             for some in _group_by_size(who, np.hypot(u[:, 0], u[:, 1])):
@@ -475,7 +472,7 @@ class _BatchSolver:
         self.out.slide_ends[who] = ends
         self._add_kink(who, ends)
 
-    def _roll_on(self, who: Ints, states: Array, now: Array) -> None:
+    def _roll_on(self, who: Index, states: Array, now: Array) -> None:
         """Roll to the end or to the stop."""
         end, speed = self.ends[who], np.hypot(states[who, 3], states[who, 4])
         if self.bent[ROLL]:
@@ -492,7 +489,7 @@ class _BatchSolver:
         now[who] = ends
         self._add_kink(who[stopped], ends[stopped])
 
-    def _add_roll(self, who: Ints, states: Array, begins: Array, ends: Array, time: Array) -> RollSegment:
+    def _add_roll(self, who: Index, states: Array, begins: Array, ends: Array, time: Array) -> RollSegment:
         """Add rolls in closed form through these states at `time`."""
         model = self.model
         leg = RollSegment(

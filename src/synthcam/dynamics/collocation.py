@@ -17,9 +17,9 @@ from itertools import islice
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
+
 # A right-hand side takes x (n,) and y (c, problems, n) and yields groups of components with their derivatives. y is
 # integrated between two groups, so later groups may use the new values of earlier ones, which saves iterations.
 Parts = Iterator[tuple[slice, Array]]

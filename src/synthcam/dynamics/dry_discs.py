@@ -19,12 +19,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.special import ellipe, ellipk
 
-from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.trajectory import Leg, NumericLeg, RestLeg
+from synthcam_shared.arrays import Array
 
 STOPPED_M_S = 1e-12
 LAST_LOG = 36.0  # of s: r is then 2e-16 of its first value
@@ -109,7 +108,7 @@ class DryBody:
             return [RestLeg(t, math.inf, (x + disc.x, y + disc.y, disc.z, *(0.0,) * 6)) for disc in self.discs]
         turns = first * first / (self.slowing * gyration)
 
-        def law(s: float, now: NDArray[np.float64]) -> list[float]:
+        def law(s: float, now: Array) -> list[float]:
             """Return the changes of direction, angle, time over r0/slowing, and path over r0^2/slowing."""
             direction, r = now[:3].tolist(), math.exp(-s)
             rates = self.rub(direction, float(now[3]))

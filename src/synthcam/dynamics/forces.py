@@ -14,20 +14,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from synthcam.dynamics.kinematics import (
-    TOUCH_TOLERANCE,
-    Array,
-    contact_velocity,
-    push_share,
-    rolling_velocity,
-    slip_rate,
-)
+from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, contact_velocity, push_share, rolling_velocity, slip_rate
 from synthcam.model import Bodies, Model
+from synthcam_shared.arrays import Array, Flags, Index
 
-Ints = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 REST, ROLL, SLIDE, FLY = range(4)
 ZERO_SPEED_M_S = 1e-12  # slower is rest, or rolling for a contact velocity
 STOP_SPEED_M_S = 1e-7  # a rolling ball slower than this has stopped
@@ -37,7 +28,7 @@ NOWHERE = np.full(2, np.inf)  # position of the other ball where there is none
 TINY = 1e-300  # keeps quotients finite
 
 
-def classify_modes(states: Array, radius: Array) -> Ints:
+def classify_modes(states: Array, radius: Array) -> Index:
     """Return REST, ROLL, SLIDE or FLY for balls in states (m, 9)."""
     x, y, vx, vy = *contact_velocity(states, radius).T, states[:, 3], states[:, 4]
     slips, moves = x * x + y * y > ZERO_SPEED_M_S**2, vx * vx + vy * vy > ZERO_SPEED_M_S**2  # quicker than hypot
@@ -72,6 +63,11 @@ class Forces:
         constants = {k: v[rows] if isinstance(v, np.ndarray) else v for k, v in self.constants.items()}
         return Forces(self.model, constants, self.inertia[rows])
 
+    def list_inputs(self, place: Array, v: Array, other: Any, **more: Any) -> dict[str, Any]:
+        """List the inputs of laws by name. place, v: (2, m, n), m and m/s; other: as of `act_on_sliding`."""
+        vectors = {"position": move_vectors_to_last_axis(place), "velocity": move_vectors_to_last_axis(v)}
+        return self.constants | vectors | {"other": other} | more
+
     def act_on_sliding(self, slip: Array, hat: Array, spin: Any, place: Array, v: Array, other: Any) -> tuple[Any, ...]:
         """Evaluate the forces on m sliding balls at n instants each.
 
@@ -86,10 +82,7 @@ class Forces:
         - twist: the rate of change of the spin about the vertical, rad/s^2.
         """
         laws = self.model.laws
-        instant = self.constants | dict(
-            position=move_vectors_to_last_axis(place), velocity=move_vectors_to_last_axis(v), spin=spin, other=other
-        )
-        instant |= dict(slip_speed=slip, slip=move_vectors_to_last_axis(hat))
+        instant = self.list_inputs(place, v, other, spin=spin, slip_speed=slip, slip=move_vectors_to_last_axis(hat))
         friction = laws("friction", self.model.sliding_friction, instant)
         load = laws("normal_load", self.model.gravity, instant)
         slowing = self.slip_rate * friction * load + np.zeros_like(slip)
@@ -105,9 +98,7 @@ class Forces:
     def accelerate_rolling(self, place: Array, v: Array, other: Any) -> Array:
         """Return the acceleration of rolling balls, (2, m, n) m/s^2."""
         model, speed = self.model, np.hypot(v[0], v[1])
-        instant = self.constants | dict(
-            position=move_vectors_to_last_axis(place), velocity=move_vectors_to_last_axis(v), other=other, speed=speed
-        )
+        instant = self.list_inputs(place, v, other, speed=speed)
         loss = model.laws("rolling", model.rolling_drag * speed + model.rolling_decel, instant)
         out = v * (-loss / np.maximum(speed, TINY))
         if model.laws.has_effect_on("push"):
@@ -116,12 +107,8 @@ class Forces:
 
     def push(self, place: Array, v: Array, other: Any) -> Array:
         """Return the push on balls at these positions with these velocities, (2, m, n) m/s^2."""
-        instant = self.constants | dict(
-            position=move_vectors_to_last_axis(place), velocity=move_vectors_to_last_axis(v), other=other
-        )
-        return np.asarray(self.model.laws("push", move_vectors_to_last_axis(np.zeros_like(v)), instant)).transpose(
-            2, 0, 1
-        )
+        nothing, instant = move_vectors_to_last_axis(np.zeros_like(v)), self.list_inputs(place, v, other)
+        return np.asarray(self.model.laws("push", nothing, instant)).transpose(2, 0, 1)
 
 
 @dataclass(frozen=True)
@@ -150,19 +137,19 @@ class BallStates:
         """Which balls are about to stop."""
         return np.asarray((self.modes == ROLL) & (np.hypot(self.states[:, 3], self.states[:, 4]) <= STOP_SPEED_M_S))
 
-    def rows(self, units: Ints) -> Ints:
+    def rows(self, units: Index) -> Index:
         return np.concatenate([units + k * len(self) for k in range(self.each)])
 
-    def __getitem__(self, units: Ints) -> BallStates:
+    def __getitem__(self, units: Index) -> BallStates:
         rows = self.rows(units)
         return BallStates(self.model, self.bodies[rows], self.states[rows], self.floor[rows], self.each)
 
     @cached_property
-    def modes(self) -> Ints:
+    def modes(self) -> Index:
         return classify_modes(self.states, self.bodies.radius)
 
     @cached_property
-    def partner(self) -> Ints:
+    def partner(self) -> Index:
         """The row of the other ball of each pair."""
         return (np.arange(len(self.states)) + len(self)) % len(self.states)
 

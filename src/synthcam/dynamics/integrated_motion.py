@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from synthcam.dynamics.collocation import evaluate_series, make_matrices, multiply_on_nodes, resample_on_nodes
-from synthcam.dynamics.forces import Flags, Ints
-from synthcam.dynamics.kinematics import Array, fly, plate_state
+from synthcam.dynamics.kinematics import fly, plate_state
 from synthcam.model import Bodies
+from synthcam_shared.arrays import Array, Flags, Index
 
 NEGLIGIBLE_M = 1e-16  # coefficients of all balls that together are smaller are left out
 Pieces = Sequence[tuple[Array, Array]]
@@ -40,7 +40,7 @@ class IntegratedMotion:
     power: int  # of the root in w; 0 where the nodes are even in time
     airborne: Flags
 
-    def __getitem__(self, rows: Ints) -> IntegratedMotion:
+    def __getitem__(self, rows: Index) -> IntegratedMotion:
         pieces = [(times[rows], y[:, rows]) for times, y in self.pieces]
         of = {f: getattr(self, f)[rows] for f in ("begins", "durations", "states", "bodies", "airborne")}
         return replace(self, pieces=pieces, **of)

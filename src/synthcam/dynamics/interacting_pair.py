@@ -14,13 +14,11 @@ from synthcam.dynamics.forces import (
     SLIDE,
     STOP_SPEED_M_S,
     BallStates,
-    Flags,
-    Ints,
     classify_modes,
     find_ending_slip,
 )
 from synthcam.dynamics.integrated_motion import IntegratedMotion
-from synthcam.dynamics.kinematics import Array, State, to_rest, to_rolling
+from synthcam.dynamics.kinematics import State, to_rest, to_rolling
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.propagate import propagate, propagate_back
 from synthcam.dynamics.start_from_rest import (
@@ -34,6 +32,7 @@ from synthcam.dynamics.start_from_rest import (
 )
 from synthcam.dynamics.trajectory import Event, Leg, Motion, NumericLeg, RestLeg
 from synthcam.model import Bodies, Model
+from synthcam_shared.arrays import Array, Flags, Index
 
 LEAD_TIME_S = 0.2  # of motion beyond the end that was asked for
 SAMPLES_PER_STEP = 33  # within a step, at which a ball at rest is checked for the push that starts it
@@ -91,7 +90,7 @@ class InteractingPair:
             events = [make_start_event(self.model, self.bodies[order[:1]], int(order[0]), still, when, np.array(other))]
         return {k: tuple(rows[k].tolist()) for k in (0, 1)}, past, events
 
-    def _propagate_back(self, rows: Array, modes: Ints, lasted: Array) -> list[tuple[Ints, IntegratedMotion]]:
+    def _propagate_back(self, rows: Array, modes: Index, lasted: Array) -> list[tuple[Index, IntegratedMotion]]:
         """Integrate balls that roll or rest back to the start."""
         if lasted[0] == 0:
             return []
@@ -140,7 +139,7 @@ class InteractingPair:
                 legs[k].t1 = math.inf
         return legs, until, started
 
-    def _propagate(self, rows: Array, modes: Ints, loose: list[int], goal: Array) -> tuple[IntegratedMotion, Flags]:
+    def _propagate(self, rows: Array, modes: Index, loose: list[int], goal: Array) -> tuple[IntegratedMotion, Flags]:
         if len(loose) == 1 and modes[1 - loose[0]] == ROLL:
             order = np.array([loose[0], 1 - loose[0]])
             far = np.hypot(*(rows[1] - rows[0])[:2]) - self.bodies.radius.sum() * (_separation_rate(rows) < 0)

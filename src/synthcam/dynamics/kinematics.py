@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.model import SOLID_BALL
+from synthcam_shared.arrays import Array
 
-Array = NDArray[np.float64]
 Real = Any  # a float or an array
 State = tuple[Real, ...]  # nine of them
 TOUCH_TOLERANCE = 1e-12  # of a radius
@@ -130,13 +130,14 @@ def _for_vectors(numbers: Real) -> Any:
     return numbers[..., None] if isinstance(numbers, np.ndarray) and numbers.ndim else numbers
 
 
-def _split_components(state: Array) -> State:
+def split_components(state: Array) -> State:
     """Split states (..., 9) into nine arrays that broadcast with times (..., m)."""
     last = state.ndim - 1
     return tuple(state.transpose(last, *range(last))[..., None])  # quicker than np.moveaxis
 
 
-def _stack_components(state: State, elapsed: Array) -> Array:
+def stack_components(state: State, elapsed: Array) -> Array:
+    """Stack nine numbers or arrays that broadcast with times (..., m) to states (..., m, 9)."""
     out = np.empty((*elapsed.shape, 9))
     for k, values in enumerate(state):
         out[..., k] = values
@@ -203,7 +204,7 @@ def apply_friction_impulse(state: Array, impulse: Real, radius: Real, inertia: R
 def slide(state: Array, radius: Real, slowing: Real, elapsed: Array, inertia: Real = SOLID_BALL) -> Array:
     """Slide many balls, each to many times: see `after_sliding`."""
     radius, slowing, inertia = (np.asarray(x)[..., None] for x in (radius, slowing, inertia))
-    return _stack_components(after_sliding(_split_components(state), radius, slowing, elapsed, inertia), elapsed)
+    return stack_components(after_sliding(split_components(state), radius, slowing, elapsed, inertia), elapsed)
 
 
 def slide_time(state: Array, radius: Real, slowing: Real, inertia: Real = SOLID_BALL) -> Any:
@@ -215,7 +216,7 @@ def slide_time(state: Array, radius: Real, slowing: Real, inertia: Real = SOLID_
 def roll(state: Array, radius: Real, drag: float, decel: float, elapsed: Array) -> Array:
     """Roll many balls, each to many times: see `after_rolling`."""
     radius = np.asarray(radius)[..., None]
-    return _stack_components(after_rolling(_split_components(state), radius, drag, decel, elapsed), elapsed)
+    return stack_components(after_rolling(split_components(state), radius, drag, decel, elapsed), elapsed)
 
 
 def stop_time(speed: Real, drag: float, decel: float) -> Any:
@@ -263,14 +264,9 @@ def _series(x: Real, n: int) -> Any:
     return out if n == 1 else out / 2
 
 
-def glide(state: Array, drag: float, decel: float, curl: float, spin_drag: float, elapsed: Array) -> Array:
-    """Glide one body to many times (m,): see `after_gliding`."""
-    return _stack_components(after_gliding(tuple(state.tolist()), drag, decel, curl, spin_drag, elapsed), elapsed)
-
-
 def fly(state: Array, gravity: float, elapsed: Array) -> Array:
     """Fly many balls, each to many times: see `after_flight`."""
-    return _stack_components(after_flight(_split_components(state), gravity, elapsed), elapsed)
+    return stack_components(after_flight(split_components(state), gravity, elapsed), elapsed)
 
 
 def flight_time(states: Array, radius: Array, gravity: float) -> Array:

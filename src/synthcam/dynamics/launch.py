@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, Array, plate_state, rolling_state, slip_rate
+from synthcam.dynamics.kinematics import TOUCH_TOLERANCE, plate_state, rolling_state, slip_rate
 from synthcam.model import Bodies
+from synthcam_shared.arrays import Array
 
 SPIN_COLUMNS = ("slip_along", "slip_across", "side")  # of a striker, m/s: see `Launch.pair`
 NO_SPIN = (0.0, 0.0, 0.0)  # a striker that rolls
@@ -72,11 +73,8 @@ class Launch:
         spin: (3,) of ball 2, m/s. The first two are the velocity of its lowest point, along the heading and to the left
         of it; zero if it rolls. The third is R times its spin about the vertical.
         """
-        numbers = np.array([v0]), np.array([b]), np.array([heading])
-        states = launch_touching_pairs(
-            bodies[:1], bodies[1:], *numbers, np.array([contact]), np.array([spin], dtype=float)
-        )
-        return cls(time, np.concatenate(states), bodies)
+        numbers = (np.array([x], dtype=float) for x in (v0, b, heading, contact, spin))
+        return cls(time, np.concatenate(launch_touching_pairs(bodies[:1], bodies[1:], *numbers)), bodies)
 
     @classmethod
     def single(cls, bodies: Bodies, time: float, v0: float, heading: float, place: ArrayLike) -> Launch:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.trajectory import Trajectory
+from synthcam_shared.arrays import Array
 
 
 class OrientationHistory:

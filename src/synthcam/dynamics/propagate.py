@@ -32,15 +32,14 @@ from synthcam.dynamics.forces import (
     TINY,
     ZERO_SPEED_M_S,
     BallStates,
-    Flags,
     Forces,
-    Ints,
     classify_modes,
     find_ending_slip,
     move_vectors_to_last_axis,
 )
 from synthcam.dynamics.integrated_motion import IntegratedMotion, Pieces, snap_to_goal
-from synthcam.dynamics.kinematics import Array, contact_velocity, flight_time, push_share, rolling_velocity, slip_rate
+from synthcam.dynamics.kinematics import contact_velocity, flight_time, push_share, rolling_velocity, slip_rate
+from synthcam_shared.arrays import Array, Flags, Index
 
 MAX_SPEED_M_S = 1e3  # a ball that would have had to come faster has no past
 LOG_SLIP_BREAK = 0.33  # share of the fall of ln(slip) at which two pieces of a slide meet
@@ -58,14 +57,14 @@ class IntegrationStep:
     ended: Flags  # (m,) whether the slide, roll or flight of the ball ended with the step
     valid: Flags  # (m,) whether the step is a solution for the ball
 
-    def __getitem__(self, rows: Ints) -> IntegrationStep:
+    def __getitem__(self, rows: Index) -> IntegrationStep:
         return IntegrationStep(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 class PhaseIntegrator:
     """Integrates k units, each in one phase: for `spans` (k,), or until the slide of ball `ender` (k,) has ended."""
 
-    def __init__(self, balls: BallStates, spans: Array, ender: Ints) -> None:
+    def __init__(self, balls: BallStates, spans: Array, ender: Index) -> None:
         self.balls, self.modes, states, laws = balls, balls.modes, balls.states, balls.model.laws
         inertia = balls.bodies.inertia[:, None]
         self.slip_share, self.push_share = 1 / slip_rate(inertia), push_share(inertia)
@@ -289,7 +288,7 @@ def _scatter(values: Any, rows: Any, shape: tuple[int, ...]) -> Array:
     return out
 
 
-Steps = Iterator[tuple[Ints, IntegrationStep]]
+Steps = Iterator[tuple[Index, IntegrationStep]]
 
 
 def propagate(balls: BallStates, goal: Array) -> Steps:
@@ -308,7 +307,7 @@ def propagate(balls: BallStates, goal: Array) -> Steps:
             yield from _propagate_units(balls, np.flatnonzero(some), spans, ender, bool(np.any(stops & some)))
 
 
-def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Ints, Flags]:
+def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Index, Flags]:
     """Return how long the next steps may be, (k,); which ball's slide ends each, or -1; and whether it drills."""
     max_growth = 3.0  # of the distance of two balls within a step
     phase = PhaseIntegrator(balls, goal, np.full(len(balls), -1))
@@ -337,7 +336,7 @@ def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Ints, Flags]:
 
 
 def _propagate_units(
-    balls: BallStates, units: Ints, spans: Array, ender: Ints, stops: bool, depth: int = MAX_HALVINGS
+    balls: BallStates, units: Index, spans: Array, ender: Index, stops: bool, depth: int = MAX_HALVINGS
 ) -> Steps:
     """Integrate a step of these units; those without a solution are integrated again for half the time."""
     some = balls[units]
@@ -358,7 +357,7 @@ def _propagate_units(
         yield from _propagate_units(balls, units[~good], spans / 2, np.full_like(ender, -1), False, depth - 1)
 
 
-def propagate_back(balls: BallStates, now: Array, until: Array) -> Iterator[tuple[Ints, IntegratedMotion]]:
+def propagate_back(balls: BallStates, now: Array, until: Array) -> Iterator[tuple[Index, IntegratedMotion]]:
     """Integrate backwards units whose balls roll, slide or rest at `now` (k,), until `until` (k,), s.
 
     A ball that slides now has slid all the time. Yields units and their motions. Raises ValueError where a ball would

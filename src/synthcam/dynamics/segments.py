@@ -10,12 +10,11 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from synthcam.dynamics.forces import Ints
 from synthcam.dynamics.integrated_motion import IntegratedMotion, snap_to_goal
-from synthcam.dynamics.kinematics import Array, Real, contact_velocity, fly, integrate_drag, roll, slide
+from synthcam.dynamics.kinematics import Real, contact_velocity, fly, integrate_drag, roll, slide
 from synthcam.dynamics.trajectory import Trajectory
+from synthcam_shared.arrays import Array, Flags, Index
 
 
 class PackedRows:
@@ -27,13 +26,13 @@ class PackedRows:
         Whether the mask has a true entry.
     """
 
-    def __init__(self, mask: NDArray[np.bool_]) -> None:
+    def __init__(self, mask: Flags) -> None:
         counts = mask.sum(axis=1)
         most = int(counts.max()) if len(counts) else 0
         self.mask, self.any = mask, most > 0
         self.inside = np.arange(most) < counts[:, None]
 
-    def gather(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gather(self, values: Array) -> Array:
         """Pack values (k, m) into (k, most in a row); zeros fill the shorter rows."""
         out = np.zeros(self.inside.shape)
         out[self.inside] = values[self.mask]
@@ -44,7 +43,7 @@ class PackedRows:
 class Segment(ABC):
     """Balls `who` (k,) from the times `begins` to `ends`, (k,). All methods take times within these."""
 
-    who: Ints
+    who: Index
     begins: Array
     ends: Array
 
@@ -144,7 +143,7 @@ class IntegratedSegment(Segment):
     motion: IntegratedMotion
 
     @classmethod
-    def of(cls, who: Ints, motion: IntegratedMotion, goal: Array | float) -> list[IntegratedSegment]:
+    def of(cls, who: Index, motion: IntegratedMotion, goal: Array | float) -> list[IntegratedSegment]:
         """Make a segment of each piece of a motion towards the time `goal`, which some reach but for rounding."""
         knots, parts = motion.split_pieces()
         knots = snap_to_goal(knots, goal)
@@ -196,7 +195,7 @@ def split_segment(segment: Segment, most: int) -> list[Segment]:
     return [replace(segment, **{name: values[some] for name, values in of_balls.items()}) for some in rows]
 
 
-def drop_balls(segment: Segment, gone: NDArray[np.bool_]) -> Segment:
+def drop_balls(segment: Segment, gone: Flags) -> Segment:
     """Empty a segment of the balls that are `gone`: no time is left in it for them."""
     return replace(segment, ends=np.where(gone, segment.begins, segment.ends)) if np.any(gone) else segment
 

@@ -25,7 +25,6 @@ from synthcam.dynamics.forces import (
 from synthcam.dynamics.interacting_pair import CANNOT_REST, LEAD_TIME_S, InteractingPair, make_leg, make_start_event
 from synthcam.dynamics.kinematics import (
     TOUCH_TOLERANCE,
-    Array,
     State,
     slip_rate,
     slip_velocity,
@@ -51,6 +50,7 @@ from synthcam.dynamics.trajectory import (
     Trajectory,
 )
 from synthcam.model import Bodies, Model
+from synthcam_shared.arrays import Array
 
 MAX_TIME_S = 1e4  # beyond it the last bit of the time is too coarse for an event
 PLATE = Table()

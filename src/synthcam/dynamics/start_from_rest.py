@@ -9,11 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from synthcam.dynamics.collocation import make_matrices, multiply_on_nodes
-from synthcam.dynamics.forces import STOP_SPEED_M_S, TINY, BallStates, Flags, Forces, Ints, move_vectors_to_last_axis
+from synthcam.dynamics.forces import STOP_SPEED_M_S, TINY, BallStates, Forces, move_vectors_to_last_axis
 from synthcam.dynamics.integrated_motion import IntegratedMotion
-from synthcam.dynamics.kinematics import Array, push_share, rolling_state
+from synthcam.dynamics.kinematics import push_share, rolling_state
 from synthcam.dynamics.propagate import propagate_back
 from synthcam.model import Bodies, Model
+from synthcam_shared.arrays import Array, Flags, Index
 
 START_NODE_COUNTS = (12, 20, 32, 56)  # nodes of a piece that begins at rest, tried in this order
 MIN_IMPACT_SPEED_OF_PAIR_M_S = 1e-4  # softer impacts of balls that push each other belong to an endless sequence
@@ -37,17 +38,15 @@ def excess_push(model: Model, bodies: Bodies, states: Array, other: Array) -> Ar
     size = np.hypot(push[0], push[1])
     place = np.broadcast_to(states[:, :2].T[..., None], push.shape)
     velocity, speed = STOP_SPEED_M_S * push / np.maximum(size, TINY), np.full(size.shape, STOP_SPEED_M_S)
-    known = Forces.of(model, bodies).constants | dict(
-        position=move_vectors_to_last_axis(place), other=move_vectors_to_last_axis(other - place)
-    )
-    known |= dict(velocity=move_vectors_to_last_axis(velocity), speed=speed)
+    apart = move_vectors_to_last_axis(other - place)
+    known = Forces.of(model, bodies).list_inputs(place, velocity, apart, speed=speed)
     loss = model.laws("rolling", model.rolling_decel, known)
     return np.asarray(size * push_share(bodies.inertia)[:, None] - np.maximum(model.rolling_decel, loss))
 
 
 def solve_approach(
     model: Model, bodies: Bodies, touching: Array, lasted: Array
-) -> tuple[Array, list[tuple[Ints, IntegratedMotion]], Array]:
+) -> tuple[Array, list[tuple[Index, IntegratedMotion]], Array]:
     """Solve the past of k contacts at time 0 between a ball that rested and a ball that rolls towards it.
 
     A ball at rest starts when the push on it overcomes what holds it. It never starts before the other ball is within 8
@@ -61,7 +60,7 @@ def solve_approach(
     of units back from the contacts, and when the balls at rest started, (k,), s.
     """
     k = len(lasted)
-    hit, then, onset, pieces = touching.copy(), touching.copy(), np.zeros(k), list[tuple[Ints, IntegratedMotion]]()
+    hit, then, onset, pieces = touching.copy(), touching.copy(), np.zeros(k), list[tuple[Index, IntegratedMotion]]()
     lasts, held = _guess_pull_duration(model, bodies, touching)
     left = np.flatnonzero(lasts > 0)
     for size in START_NODE_COUNTS:
@@ -152,9 +151,7 @@ def _pull_and_loss(one: Forces, place: Array, s: Array, e: Array, apart: Array) 
     """Return 5/7 of the push, (2, k, n), and the rolling loss, (k, n), of balls with speeds s along e."""
     model, speed = one.model, np.maximum(s, STOP_SPEED_M_S)
     v = speed * e
-    known = one.constants | dict(
-        position=move_vectors_to_last_axis(place), velocity=move_vectors_to_last_axis(v), other=apart, speed=speed
-    )
+    known = one.list_inputs(place, v, apart, speed=speed)
     base = model.rolling_drag * np.maximum(s, 0.0) + model.rolling_decel
     return push_share(one.inertia) * one.push(place, v, apart), model.laws("rolling", base, known) + 0 * s
 

@@ -33,27 +33,13 @@ class Support(ABC):
 
 @dataclass(frozen=True)
 class Air(Support):
-    """A cushion of air under a disc: v' = -(decel + drag v) v/|v| + curl z x v, and a spin that decays.
+    """A cushion of air under a disc: v' = -(decel + drag v) v/|v| + curl z x v, and a spin that decays."""
 
-    Attributes
-    ----------
-    decel : float
-        d, m/s^2.
-    drag : float
-        gamma, 1/s.
-    curl : float
-        c, rad/s: the rate at which the path turns to the left.
-    spin_drag : float
-        Rate at which the spin decays, 1/s.
-    decel_range, curl_range : tuple of float, optional
-        Limits between which `decel` and `curl` are drawn, evenly, for each stretch of motion between two hits.
-    """
-
-    decel: float = 0.0
-    drag: float = 0.0
-    curl: float = 0.0
-    spin_drag: float = 0.0
-    decel_range: tuple[float, float] | None = None
+    decel: float = 0.0  # m/s^2
+    drag: float = 0.0  # 1/s
+    curl: float = 0.0  # rad/s: the rate at which the path turns to the left
+    spin_drag: float = 0.0  # 1/s: the rate at which the spin decays
+    decel_range: tuple[float, float] | None = None  # in which it is drawn, evenly, for each stretch between two hits
     curl_range: tuple[float, float] | None = None
 
     def leg(self, state: State, radius: float, t: float) -> Leg:
@@ -77,15 +63,9 @@ class Air(Support):
 
 @dataclass(frozen=True)
 class DryPlate(Support):
-    """A plate on which a disc slides and turns, under an even pressure.
+    """A plate on which a disc slides and turns, under an even pressure."""
 
-    Attributes
-    ----------
-    slowing : float
-        Friction times gravity, m/s^2.
-    """
-
-    slowing: float
+    slowing: float  # friction times gravity, m/s^2
 
     def leg(self, state: State, radius: float, t: float) -> Leg:
         x, y, z, vx, vy, *_, spin = state

@@ -15,27 +15,13 @@ from synthcam.dynamics.supports import Support
 
 @dataclass(frozen=True)
 class ContactScatter:
-    """How contacts of bodies differ by chance, each drawn from a normal distribution.
+    """How contacts of bodies differ by chance: standard deviations of normal distributions."""
 
-    Attributes
-    ----------
-    restitution : float
-        Standard deviation of r.
-    friction : float
-        Standard deviation of the factor on the tangential impulse.
-    normal : float
-        Standard deviation of the angle by which the normal is turned about the vertical, rad.
-    distance : float
-        Standard deviation of the distance of the centres, over the sum of the radii.
-    seed : tuple of int
-        Of the draws, which follow the order of the contacts.
-    """
-
-    restitution: float = 0.0
-    friction: float = 0.0
-    normal: float = 0.0
-    distance: float = 0.0
-    seed: tuple[int, ...] = (0,)
+    restitution: float = 0.0  # of r
+    friction: float = 0.0  # of the factor on the tangential impulse
+    normal: float = 0.0  # of the angle by which the normal is turned about the vertical, rad
+    distance: float = 0.0  # of the distance of the centres, over the sum of the radii
+    seed: tuple[int, ...] = (0,)  # of the draws, which follow the order of the contacts
 
     @property
     def active(self) -> bool:
@@ -53,33 +39,16 @@ class ContactScatter:
 
 @dataclass(frozen=True)
 class Table:
-    """A tabletop on which, and between whose walls, bodies move.
-
-    Attributes
-    ----------
-    walls : tuple of Wall
-    supports : tuple of Support or None
-        Of each body; None is the plate, with the model's own laws. Empty: the plate for all.
-    contact_duration : float
-        Bounds sequences of impacts without end, s; see `dynamics.solve.solve`.
-    scatter : Scatter
-        How contacts of bodies differ by chance.
-    sticks : tuple of float
-        Of each body, the impulse that parts it from a body that it has hit, N s; 0: it does not stick. Empty: none
-        does.
-    spring : ContactSpring, optional
-        Of contacts that last; None: all are impacts in an instant.
-    plate_share : float
-        Share of the momentum of two bodies that the plate takes when they hit, a reading of Dutt et al. (1999): both
-        lose this share of the velocity of their centre of mass.
-    """
+    """A tabletop on which, and between whose walls, bodies move."""
 
     walls: tuple[Wall, ...] = ()
-    supports: tuple[Support | None, ...] = ()
-    contact_duration: float = 0.0
+    supports: tuple[Support | None, ...] = ()  # of each body; None: the plate, with the model's own laws; (): for all
+    contact_duration: float = 0.0  # s; bounds sequences of impacts without end, see `dynamics.solve.solve`
     scatter: ContactScatter = ContactScatter()
-    sticks: tuple[float, ...] = ()
-    spring: ContactSpring | None = None
+    sticks: tuple[float, ...] = ()  # of each body: the impulse, N s, that parts it from one that it has hit; 0: never
+    spring: ContactSpring | None = None  # of contacts that last; None: all are impacts in an instant
+    # Share of the velocity of their centre of mass that two bodies which hit lose to the plate, a reading of Dutt et
+    # al. (1999).
     plate_share: float = 0.0
 
 

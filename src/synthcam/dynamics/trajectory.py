@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from synthcam.dynamics import kinematics
-from synthcam.dynamics.kinematics import Array, Real, State
+from synthcam.dynamics.kinematics import Real, State
+from synthcam_shared.arrays import Array, Index
 
 Motion = Literal["rest", "roll", "slide", "fly", "glide", "push"]
 OneBodyEvent = Literal["wall", "slide_end", "stop", "start", "land", "launch", "release", "stretch"]
@@ -63,22 +64,38 @@ class RestLeg(Leg):
 
 
 @dataclass(slots=True)
-class RollLeg(Leg):
-    """Rolling on a straight line with a = -(drag v + decel); `state` holds at `time`."""
+class ClosedLeg(Leg):
+    """Motion in closed form: `state` holds at `time`."""
 
     time: float
     state: State
+
+    def at(self, t: Array) -> Array:
+        elapsed = t - self.time
+        return kinematics.stack_components(
+            self.after(kinematics.split_components(np.array(self.state)), elapsed), elapsed
+        )
+
+    def now(self, t: float) -> State:
+        return self.after(self.state, t - self.time)
+
+    def after(self, state: State, elapsed: Real) -> State:
+        """Return what becomes of a state in a time, s; all are floats, or arrays that broadcast."""
+        raise NotImplementedError
+
+
+@dataclass(slots=True)
+class RollLeg(ClosedLeg):
+    """Rolling on a straight line with a = -(drag v + decel)."""
+
     radius: float
     drag: float
     decel: float
     motion: Motion = field(default="roll", kw_only=True)
     is_straight: ClassVar[bool] = True
 
-    def at(self, t: Array) -> Array:
-        return kinematics.roll(np.array(self.state), self.radius, self.drag, self.decel, t - self.time)
-
-    def now(self, t: float) -> State:
-        return kinematics.after_rolling(self.state, self.radius, self.drag, self.decel, t - self.time)
+    def after(self, state: State, elapsed: Real) -> State:
+        return kinematics.after_rolling(state, self.radius, self.drag, self.decel, elapsed)
 
     def bound(self, t: float) -> float:
         state = self.state if t >= self.time else self.now(t)  # it slows down
@@ -86,11 +103,9 @@ class RollLeg(Leg):
 
 
 @dataclass(slots=True)
-class SlideLeg(Leg):
-    """Sliding with constant friction: a parabola. `state` holds at `time`; `slowing` is mu g, m/s^2."""
+class SlideLeg(ClosedLeg):
+    """Sliding with constant friction: a parabola. `slowing` is mu g, m/s^2."""
 
-    time: float
-    state: State
     radius: float
     slowing: float
     inertia: float
@@ -101,8 +116,8 @@ class SlideLeg(Leg):
         across, along = kinematics.find_slowing(self.state, self.radius, self.slowing)
         self._rates = across, along, 1 / self.inertia / self.radius
 
-    def at(self, t: Array) -> Array:
-        return kinematics.slide(np.array(self.state), self.radius, self.slowing, t - self.time, self.inertia)
+    def after(self, state: State, elapsed: Real) -> State:
+        return kinematics.after_sliding(state, self.radius, self.slowing, elapsed, self.inertia)
 
     def now(self, t: float) -> State:
         return kinematics.after_slowing(self.state, *self._rates, t - self.time)
@@ -112,30 +127,23 @@ class SlideLeg(Leg):
 
 
 @dataclass(slots=True)
-class FlightLeg(Leg):
-    """Free flight above the plate; `state` holds at `time`."""
+class FlightLeg(ClosedLeg):
+    """Free flight above the plate."""
 
-    time: float
-    state: State
     gravity: float
     motion: Motion = field(default="fly", kw_only=True)
 
-    def at(self, t: Array) -> Array:
-        return kinematics.fly(np.array(self.state), self.gravity, t - self.time)
-
-    def now(self, t: float) -> State:
-        return kinematics.after_flight(self.state, self.gravity, t - self.time)
+    def after(self, state: State, elapsed: Real) -> State:
+        return kinematics.after_flight(state, self.gravity, elapsed)
 
     def bound(self, t: float) -> float:
         return self.gravity
 
 
 @dataclass(slots=True)
-class GlideLeg(Leg):
-    """Gliding on air, v' = -(decel + drag v) v/|v| + curl z x v; `state` holds at `time`."""
+class GlideLeg(ClosedLeg):
+    """Gliding on air, v' = -(decel + drag v) v/|v| + curl z x v."""
 
-    time: float
-    state: State
     drag: float
     decel: float
     curl: float
@@ -149,16 +157,13 @@ class GlideLeg(Leg):
         return cls(t, t + lasts, t, state, drag, decel, curl, spin_drag)
 
     def at(self, t: Array) -> Array:
-        if self.motion == "rest":
-            out = np.tile(np.array(self.state), (len(t), 1))
-            out[:, 8] *= np.exp(-self.spin_drag * (t - self.time))
-            return out
-        return kinematics.glide(np.array(self.state), self.drag, self.decel, self.curl, self.spin_drag, t - self.time)
+        return kinematics.stack_components(self.after(self.state, t - self.time), t)
 
-    def now(self, t: float) -> State:
+    def after(self, state: State, elapsed: Real) -> State:
         if self.motion == "rest":
-            return (*self.state[:8], self.state[8] * math.exp(-self.spin_drag * (t - self.time)))
-        return kinematics.after_gliding(self.state, self.drag, self.decel, self.curl, self.spin_drag, t - self.time)
+            exp = np.exp if isinstance(elapsed, np.ndarray) else math.exp
+            return (*state[:8], state[8] * exp(-self.spin_drag * elapsed))
+        return kinematics.after_gliding(state, self.drag, self.decel, self.curl, self.spin_drag, elapsed)
 
     def bound(self, t: float) -> float:
         if self.motion == "rest":
@@ -169,26 +174,18 @@ class GlideLeg(Leg):
 
 
 @dataclass(slots=True)
-class PushLeg(Leg):
-    """Moving with a constant acceleration (x, y), m/s^2, as a hand pushes; `state` holds at `time`.
+class PushLeg(ClosedLeg):
+    """Moving with a constant acceleration (x, y), m/s^2, as a hand pushes.
 
     rolling_radius, m: the spin changes as that of a ball that rolls; infinite: it stays.
     """
 
-    time: float
-    state: State
     acceleration: tuple[float, float]
     rolling_radius: float
     motion: Motion = field(default="push", kw_only=True)
 
-    def at(self, t: Array) -> Array:
-        return np.stack(np.broadcast_arrays(*self._after(t - self.time)), axis=-1)
-
-    def now(self, t: float) -> State:
-        return self._after(t - self.time)
-
-    def _after(self, s: Real) -> State:
-        (x, y, z, vx, vy, vz, wx, wy, wz), (ax, ay) = self.state, self.acceleration
+    def after(self, state: State, elapsed: Real) -> State:
+        (x, y, z, vx, vy, vz, wx, wy, wz), (ax, ay), s = state, self.acceleration, elapsed
         place = x + (vx + ax * s / 2) * s, y + (vy + ay * s / 2) * s, z
         turn = s / self.rolling_radius
         return *place, vx + ax * s, vy + ay * s, vz, wx - ay * turn, wy + ax * turn, wz
@@ -211,7 +208,7 @@ class CarriedLeg(Leg):
     spin_drag: float
 
     def at(self, t: Array) -> Array:
-        return np.stack(np.broadcast_arrays(*self._around(tuple(self.centre.at(t).T), t)), axis=-1)
+        return kinematics.stack_components(self._around(tuple(self.centre.at(t).T), t), t)
 
     def now(self, t: float) -> State:
         return self._around(self.centre.now(t), t)
@@ -326,7 +323,7 @@ class Trajectory:
             raise ValueError(f"time outside the trajectory, {self.t0:g} s to {self.t1:g} s")
 
     @staticmethod
-    def _which(legs: tuple[Leg, ...], times: Array) -> NDArray[np.intp]:
+    def _which(legs: tuple[Leg, ...], times: Array) -> Index:
         return np.searchsorted([leg.t0 for leg in legs[1:]], times, side="right")
 
 

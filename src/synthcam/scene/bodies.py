@@ -6,7 +6,6 @@ import math
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from synthcam.dynamics.contacts.lasting import ContactSpring
@@ -17,6 +16,7 @@ from synthcam.dynamics.supports import Air, DryPlate, Support
 from synthcam.dynamics.tabletop import ContactScatter, Table
 from synthcam.model import Ball, Bodies, Model
 from synthcam.scene.materials import BallFinishSettings
+from synthcam_shared.arrays import Array, Index
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings
 
@@ -262,7 +262,7 @@ def list_kinds(drawn: dict[str, Any]) -> list[dict[str, Any]]:
     return kinds if isinstance(kinds, list) else [kinds] * len(drawn.get("launches") or ())
 
 
-def find_heights(drawn: dict[str, Any], where: str) -> NDArray[np.float64]:
+def find_heights(drawn: dict[str, Any], where: str) -> Array:
     """Find the height (N,), m, of each disc; 0 of balls. All centres are level, so that all discs have one height.
 
     Raises InputError for another height.
@@ -293,7 +293,7 @@ def _starts_later(launch: dict[str, Any]) -> bool:
     return bool(launch["time"] or launch.get("push"))
 
 
-def _build_later(body: int, launch: dict[str, Any], state: NDArray[np.float64]) -> LaterLaunch:
+def _build_later(body: int, launch: dict[str, Any], state: Array) -> LaterLaunch:
     push = launch.get("push") or {"until": -math.inf, "acceleration": (0.0, 0.0)}
     return LaterLaunch(body, launch["time"], tuple(state[3:].tolist()), push["until"], tuple(push["acceleration"]))
 
@@ -329,7 +329,7 @@ def _build_wall(settings: dict[str, Any]) -> Wall:
     return Rim(**law, centre=tuple(settings["centre"]), radius=settings["radius"], inside=settings["inside"])
 
 
-def _state(launch: dict[str, Any], radius: float, inertia: float) -> NDArray[np.float64]:
+def _state(launch: dict[str, Any], radius: float, inertia: float) -> Array:
     velocity, slip = np.array(launch["velocity"]), np.array(launch["slip"])
     q = velocity - (1 - push_share(inertia)) * slip
     state = plate_state(np.array(launch["position"]), q, slip, launch["spin"], radius, inertia)
@@ -337,7 +337,7 @@ def _state(launch: dict[str, Any], radius: float, inertia: float) -> NDArray[np.
     return state
 
 
-def _check_places(states: NDArray[np.float64], bodies: Bodies, walls: tuple[Wall, ...], where: str) -> None:
+def _check_places(states: Array, bodies: Bodies, walls: tuple[Wall, ...], where: str) -> None:
     """Raises InputError where bodies overlap, or are in a wall or on the wrong side of closed walls."""
     tolerance, radius = 1e-9 * bodies.radius.min(), bodies.radius
     if found := _find_overlap(states[:, :3], radius, tolerance):
@@ -363,9 +363,7 @@ def _check_places(states: NDArray[np.float64], bodies: Bodies, walls: tuple[Wall
             raise InputError(f"{where}: launches.{k}: the body is outside the walls; expected it inside")
 
 
-def _list_walls_near(
-    places: NDArray[np.float64], radius: NDArray[np.float64], walls: tuple[Wall, ...]
-) -> dict[int, list[int]]:
+def _list_walls_near(places: Array, radius: Array, walls: tuple[Wall, ...]) -> dict[int, list[int]]:
     """List by body the numbers of the walls whose box it touches, and of those whose height no wall may have."""
     near: dict[int, list[int]] = {}
     for number, wall in enumerate(walls):
@@ -379,9 +377,7 @@ def _list_walls_near(
     return near
 
 
-def _find_overlap(
-    centres: NDArray[np.float64], radius: NDArray[np.float64], tolerance: float
-) -> tuple[int, int] | None:
+def _find_overlap(centres: Array, radius: Array, tolerance: float) -> tuple[int, int] | None:
     """Find two bodies of centres (N, 3), m, that overlap by more than the tolerance; None if no two do.
 
     Bodies are compared in classes of radii within a factor of 2. In a class without overlaps few bodies are near any
@@ -389,7 +385,7 @@ def _find_overlap(
     """
     from scipy.spatial import cKDTree
 
-    def check(i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[int, int] | None:
+    def check(i: Index, j: Index) -> tuple[int, int] | None:
         depth = radius[i] + radius[j] - np.linalg.norm(centres[i] - centres[j], axis=1)
         pairs = np.sort(np.column_stack([i, j])[depth > tolerance], axis=1)
         return tuple(pairs[np.lexsort(pairs.T[::-1])[0]].tolist()) if len(pairs) else None
@@ -417,7 +413,7 @@ def _find_overlap(
     return None
 
 
-def _closed_loop(walls: tuple[Wall, ...]) -> NDArray[np.float64] | None:
+def _closed_loop(walls: tuple[Wall, ...]) -> Array | None:
     """Return the corners (n, 2) of the walls where all are straight and each begins where the one before ends."""
     if len(walls) < 3 or not all(isinstance(w, StraightWall) for w in walls):
         return None
@@ -426,7 +422,7 @@ def _closed_loop(walls: tuple[Wall, ...]) -> NDArray[np.float64] | None:
     return starts if np.allclose(np.roll(starts, -1, axis=0), ends) else None
 
 
-def _is_inside(x: float, y: float, corners: NDArray[np.float64]) -> bool:
+def _is_inside(x: float, y: float, corners: Array) -> bool:
     """Tell whether a point is in a polygon: how often the walls turn about it."""
     angles = np.arctan2(corners[:, 1] - y, corners[:, 0] - x)
     steps = np.diff(np.append(angles, angles[0]))

@@ -28,6 +28,7 @@ from synthcam.scene.groups import place_groups
 from synthcam.scene.materials import build_finish, build_varnish, list_screen_colours, make_discs_matte
 from synthcam.scene.motion import Motion
 from synthcam.scene.sensor_frames import Counts, OpticalSetup, expose_frames
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ class Clip:
     seed: int = 0
     finish: SurfaceFinish | None = None
     table: Table = PLATE
-    heights: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    heights: Array = field(default_factory=lambda: np.zeros(0))
     trajectory: Trajectory | None = None
 
     def __repr__(self) -> str:

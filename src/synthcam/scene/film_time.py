@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.camera.pinhole import PinholeCamera
-from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import PLATE, solve
 from synthcam.dynamics.tabletop import Table
 from synthcam.dynamics.trajectory import Trajectory, average_over_spans
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 # Fixed points are iterated until they change by less than the rounding of a time, s, or at most so often. Each turn
 # gains a factor: the time in which a ball crosses a row over the time in which the shutter does.

@@ -12,11 +12,12 @@ import pandas as pd
 from synthcam.camera.occlusion import compute_hidden_shares
 from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
 from synthcam.dynamics.contacts.impact import combine_inertia_factors
-from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
+from synthcam.dynamics.kinematics import contact_velocity, rolling_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.trajectory import Event, Trajectory
 from synthcam.model import Bodies, Model
 from synthcam.scene.film_time import FilmedMotion
+from synthcam_shared.arrays import Array
 
 if TYPE_CHECKING:
     from synthcam.dynamics.orientation import OrientationHistory

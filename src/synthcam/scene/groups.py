@@ -9,15 +9,13 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from synthcam.model import Model
 from synthcam.scene.bodies import MAX_BODIES, BodySettings, Point
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import NotNegative, Settings
-
-Floats = NDArray[np.float64]
 
 
 class GroupSettings(Settings):
@@ -95,7 +93,7 @@ def _radius(model: Model, kind: dict[str, Any]) -> float:
     )
 
 
-def _draw_velocities(rng: np.random.Generator, count: int, rms_speed: float) -> Floats:
+def _draw_velocities(rng: np.random.Generator, count: int, rms_speed: float) -> Array:
     """Velocities (count, 2), m/s, normal in each direction, with that root mean square; several have a mean of 0."""
     velocities = rng.standard_normal((count, 2))
     if count > 1:
@@ -103,14 +101,14 @@ def _draw_velocities(rng: np.random.Generator, count: int, rms_speed: float) -> 
     return velocities * rms_speed / math.sqrt((velocities**2).sum(axis=1).mean())
 
 
-def _rack(count: int, spacing: float) -> Floats:
+def _rack(count: int, spacing: float) -> Array:
     """Places (count, 2), m, of rows of 1, 2, 3 ... bodies at this spacing, the first at the origin."""
     rows = (math.isqrt(8 * count + 1) + 1) // 2
     sites = [(row * math.sqrt(3) / 2, k - row / 2) for row in range(rows + 1) for k in range(row + 1)]
     return spacing * np.array(sites[:count])
 
 
-def _lattice(rng: np.random.Generator, count: int, size: list[float], least: float, key: str) -> Floats:
+def _lattice(rng: np.random.Generator, count: int, size: list[float], least: float, key: str) -> Array:
     """Places (count, 2), m, on random sites of the widest triangular lattice that has enough, moved within its room.
 
     Raises InputError where the bodies need more room.
@@ -142,7 +140,7 @@ def _count_columns(size: list[float], spacing: float) -> Iterator[int]:
         yield int((width - shift) / spacing + 1e-9) + 1 if width >= shift else 0
 
 
-def _sites(size: list[float], spacing: float) -> Floats:
+def _sites(size: list[float], spacing: float) -> Array:
     """Sites (n, 2), m, of a triangular lattice in an area about the origin."""
     columns, step = list(_count_columns(size, spacing)), spacing * math.sqrt(3) / 2
     first = -(len(columns) - 1) * step / 2
@@ -160,19 +158,19 @@ def _random(
     count: int,
     size: list[float],
     least: float,
-    others: tuple[Floats, Floats],
+    others: tuple[Array, Array],
     key: str,
     *,
     max_tries: int = 2000,
-) -> Floats:
+) -> Array:
     """Places (count, 2), m, one after the other anywhere in the area that is free (random sequential addition).
 
     others: places (n, 2) of other bodies and the least distance from each, m. max_tries: of places for one body; discs
     fill at most 0.547 of a plane in this way (Feder, J. Theor. Biol. 87 (1980) 237), and 2000 tries reach 0.5.
     Raises InputError where one finds no place.
     """
-    cells: dict[tuple[int, int], list[Floats]] = {}
-    places = list[Floats]()
+    cells: dict[tuple[int, int], list[Array]] = {}
+    places = list[Array]()
     half = np.array(size) / 2
     while len(places) < count:
         for _ in range(max_tries):

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from synthcam.camera.room.finish import GREY_WEIGHTS, BallFinish, Colour, Pattern, SurfaceFinish
 from synthcam.camera.surface import Surface
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Fraction, NotNegative, Settings
 
@@ -117,7 +117,7 @@ def build_finish(
     )
 
 
-def make_discs_matte(drawn: dict[str, Any], heights: NDArray[np.float64], where: str) -> dict[str, Any]:
+def make_discs_matte(drawn: dict[str, Any], heights: Array, where: str) -> dict[str, Any]:
     """Return the drawn settings with matte bodies where there are discs. Raises InputError for discs of steel."""
     surface = drawn["surface"]
     if not heights.any() or surface.get("ball") == "matte":

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from synthcam.camera.disc import list_discs
 from synthcam.camera.pinhole import PinholeCamera
-
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
 
 
 def find_boxes(camera: PinholeCamera, centres: Array, radii: Array, heights: Array | None = None) -> Array:

@@ -17,11 +17,11 @@ from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.sensor import Sensor, SensorChip
 from synthcam.camera.surface import Surface
 from synthcam.scene.film_time import FilmedMotion
+from synthcam_shared.arrays import Array
 
 if TYPE_CHECKING:
     from synthcam.dynamics.orientation import OrientationHistory
 
-Array = NDArray[np.float64]
 Counts = NDArray[np.uint8] | NDArray[np.uint16]
 
 

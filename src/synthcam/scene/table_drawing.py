@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from synthcam.dynamics.contacts.walls import Rim, StraightWall, Wall
 from synthcam.dynamics.trajectory import Trajectory
 from synthcam.scene.materials import ScreenColours
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ Colours = Sequence[ScreenColours | None]
 class DrawnBodies(NamedTuple):
     """What an animation shows of bodies."""
 
-    radius: NDArray[np.float64]  # (N,), m
+    radius: Array  # (N,), m
     colours: Colours = ()  # of matte bodies
     orientation: OrientationHistory | None = None  # of discs with a pattern
 
@@ -130,7 +131,7 @@ def write_animation(
 
 
 def _draw_frames(
-    motion: Trajectory, bodies: DrawnBodies, walls: Sequence[Wall], times: NDArray[np.float64]
+    motion: Trajectory, bodies: DrawnBodies, walls: Sequence[Wall], times: Array
 ) -> Iterator[NDArray[np.uint8]]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection, PatchCollection

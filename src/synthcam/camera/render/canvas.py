@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from synthcam.camera.render import windowless
+from synthcam_shared.arrays import Float32
 from synthcam_shared.errors import NoGL as NoGL
 
 # Read when the libraries load. llvmpipe then draws in the calling thread and leaves the other cores to other processes.
@@ -31,7 +31,6 @@ except Exception as error:  # PyOpenGL raises whatever its loader happens to tri
     pyrender = None
     _missing = " ".join(str(error).split()) or type(error).__name__
 
-Float32 = NDArray[np.float32]
 
 BUFFER_SIDE = 1024  # usual side of the buffer, samples
 MAX_BALLS_PER_CALL = 2048

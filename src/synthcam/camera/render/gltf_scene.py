@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from synthcam.camera.lamp import Lamp
+from synthcam_shared.arrays import Array
 
-Array = NDArray[np.float64]
 untyped: Any = trimesh
 material: Any = untyped.visual.material.PBRMaterial
 

@@ -12,10 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from synthcam.camera.exposure import (
-    Array,
     BallSquares,
-    Float32,
-    Index,
     Picture,
     SubExposures,
     add_to_plate,
@@ -41,6 +38,7 @@ from synthcam.camera.reflections import MIN_RELATIVE_FLUX, find_neighbours
 from synthcam.camera.render.canvas import BUFFER_SIDE, BallBatch, get_canvas
 from synthcam.camera.renderer import Centres, Renderer
 from synthcam.camera.surface import STEEL_ON_BLACK, STEEL_REFLECTANCE, Surface
+from synthcam_shared.arrays import Array, Float32, Index
 
 FINENESS = 3  # samples of a ball per pixel, along rows and along columns
 EXPOSURES_PER_BATCH, BALLS_PER_BATCH = 128, 1024  # whichever is reached first: for many balls, to save memory

@@ -5,9 +5,9 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
+
 Colour = tuple[float, ...]  # reflectance of each channel: three, or one for a grey camera
 Pattern = Literal["plain", "half", "stripe", "spots"]
 PlateTexture = Literal["plain", "cloth", "wood", "paper"]

@@ -10,7 +10,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from synthcam.camera.disc import list_discs
 from synthcam.camera.lamp import Lamp
@@ -38,9 +37,7 @@ from synthcam.camera.room.view_factors import (
     visible_fraction,
 )
 from synthcam.camera.surface import Surface
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from synthcam_shared.arrays import Array, Index
 
 # Up to this distance from its point of contact a ball changes the light on the plate. Over the second distance, this
 # change fades to nothing.

@@ -10,11 +10,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from synthcam.camera.room.view_factors import compute_form_factor, dot, mean_cosine_above_horizon, visible_fraction
-
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
 
 EXCHANGE_CELLS = 14, 12  # of a ball: outwards from the line of centres, and around it
 EXCHANGE_ANGLE = 2.2  # from the line of centres, rad: a large ball is seen from behind the equator too

@@ -11,10 +11,7 @@ from numpy.typing import ArrayLike
 
 from synthcam.camera.disc import measure_shares_covered_by_body
 from synthcam.camera.exposure import (
-    Array,
     Box,
-    Float32,
-    Index,
     Picture,
     blur_matrix,
     blur_tiles,
@@ -32,6 +29,7 @@ from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.room.illumination import BallsAtMoment, Illumination
 from synthcam.camera.room.view_factors import dot
 from synthcam.camera.surface import Surface
+from synthcam_shared.arrays import Array, Float32, Index
 
 Turns = Callable[[Array], Array]  # times (T,), s -> rotations (T, N, 3, 3) from ball axes to the world's
 

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.camera.room.finish import SurfaceFinish
-
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
 
 RANDOM_NUMBERS = 1 << 12  # in the table that a texture is made of
 

@@ -4,9 +4,8 @@ Light is irradiance over pi, the radiance of a white matte surface. All argument
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
 
 
 def dot(a: Array, b: Array) -> Array:

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from synthcam.camera.glints import find_glints
@@ -23,8 +22,7 @@ from synthcam.camera.plate import BLACK_PLATE_RADIANCE, compute_irradiance
 from synthcam.dataset.recorded_dataset import RecordedClip
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import rebuild_clip
-
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
 
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:

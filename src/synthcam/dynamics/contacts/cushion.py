@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from synthcam.dynamics.contacts.walls import Wall, WallImpact
 from synthcam.dynamics.kinematics import State
+from synthcam_shared.arrays import Array
 
 
 def press_cushion(
@@ -44,7 +44,7 @@ def press_cushion(
     ])  # fmt: skip
     least, turn = sticking_share * math.hypot(*first[:2]), 1 / (inertia * radius)
 
-    def change(_: float, now: NDArray[np.float64]) -> list[float]:
+    def change(_: float, now: Array) -> list[float]:
         a, b, ra, rb, rz = now[0], now[1], radius * now[2], radius * now[3], radius * now[4]
         ia, ib = a + rb * sine - rz * cosine, ra - b * sine
         ca, cb = a - rb, b + ra
@@ -58,8 +58,8 @@ def press_cushion(
             abs(b) * cosine,
         ]
 
-    def integrate(start: NDArray[np.float64], until: int, level: float) -> tuple[float, NDArray[np.float64]]:
-        def reached(_: float, now: NDArray[np.float64]) -> float:
+    def integrate(start: Array, until: int, level: float) -> tuple[float, Array]:
+        def reached(_: float, now: Array) -> float:
             return float(now[until] - level)
 
         reached.terminal = True  # type: ignore[attr-defined]

@@ -11,16 +11,9 @@ import numpy as np
 
 from synthcam.dynamics.contacts.cushion import press_cushion
 from synthcam.dynamics.contacts.walls import Wall, WallImpact
-from synthcam.dynamics.kinematics import (
-    Array,
-    Real,
-    State,
-    apply_friction_impulse,
-    contact_velocity,
-    push_share,
-    slip_rate,
-)
+from synthcam.dynamics.kinematics import Real, State, apply_friction_impulse, contact_velocity, push_share, slip_rate
 from synthcam.model import Bodies, Model
+from synthcam_shared.arrays import Array
 
 MIN_BOUNCE_SPEED_M_S = 1e-7  # a lower bounce, some 10 ns, and all that follow it are taken together
 

@@ -22,14 +22,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from synthcam.dynamics.contacts.rigid_group import split_into_groups
+from synthcam.dynamics.contacts.rigid_group import find_connected, split_into_groups
 from synthcam.dynamics.forces import Forces
-from synthcam.dynamics.kinematics import Array, State, contact_velocity, slip_rate
+from synthcam.dynamics.kinematics import State, contact_velocity, slip_rate
 from synthcam.dynamics.supports import Support
 from synthcam.dynamics.trajectory import Leg, NumericLeg
 from synthcam.model import Bodies, Model
+from synthcam_shared.arrays import Array
 
 LEAST_RESTITUTION = 1e-6
 END_GAP = 1e-10  # over the reach: a contact ends at this gap, since many begin with no overlap and all but no speed
@@ -39,21 +39,11 @@ MAX_DURATIONS = 20.0  # for which a contact is followed at a time, in those of t
 
 @dataclass(frozen=True)
 class ContactSpring:
-    """The spring of every contact of two bodies.
-
-    Attributes
-    ----------
-    law : str
-        "linear" or "hertz".
-    duration : float
-        T of the linear spring, s.
-    modulus : float
-        E* of the Hertz spring, Pa: (1 - nu1^2)/E1 + (1 - nu2^2)/E2 is its inverse.
-    """
+    """The spring of every contact of two bodies."""
 
     law: Literal["linear", "hertz"] = "linear"
-    duration: float = 1e-4
-    modulus: float = 1e9
+    duration: float = 1e-4  # T of the linear spring, s
+    modulus: float = 1e9  # E* of the Hertz spring, Pa: (1 - nu1^2)/E1 + (1 - nu2^2)/E2 is its inverse
 
     def stiffness(self, mass: float, radius: float, r: float) -> tuple[float, float]:
         """Return the factors of the spring and of the damper: masses and radii are reduced ones."""
@@ -149,10 +139,7 @@ class TouchingBodies:
 
     def find_fellows(self, *balls: int) -> set[int]:
         """Return the bodies that contacts connect with any of these, themselves among them."""
-        members = self.joined
-        return set().union(
-            *(p for p in split_into_groups(members, {k for c in members for k in c} | set(balls)) if p & set(balls))
-        )
+        return find_connected(self.joined, *balls)
 
     def begin(
         self,
@@ -244,7 +231,7 @@ def follow_contacts(
         overlap, rate = contact.reach - far, -(x * vx + y * vy) / far
         return float(spring.force(contact.factors, overlap, rate)), overlap, math.atan2(y, x)
 
-    def law(_: float, y: NDArray[np.float64]) -> NDArray[np.float64]:
+    def law(_: float, y: Array) -> Array:
         now, given = y[: 9 * count].reshape(count, 9), np.zeros(len(contacts))
         rates = np.zeros((count, 9))
         rates[:, :2], rates[:, 3:] = now[:, 3:5], carry(now)
@@ -256,7 +243,7 @@ def follow_contacts(
         return np.concatenate([rates.ravel(), given])
 
     def ends(number: int) -> Any:
-        def overlap(_: float, y: NDArray[np.float64]) -> float:
+        def overlap(_: float, y: Array) -> float:
             overlapping = press(y[: 9 * count].reshape(count, 9), contacts[number])[1]
             return overlapping + END_GAP * contacts[number].reach
 

@@ -11,7 +11,7 @@ is `collide_pair`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -158,13 +158,18 @@ def collide_groups(
     return GroupImpact(one, two, impulse_n, impulse_t)
 
 
-def split_into_groups(bonds: Iterable[tuple[int, int]], members: set[int]) -> list[set[int]]:
+def find_connected(bonds: Collection[tuple[int, int]], *balls: int) -> set[int]:
+    """Find the bodies that bonds connect with any of these, themselves among them."""
+    found = set(balls)
+    while grown := {k for pair in bonds if found & set(pair) for k in pair} - found:
+        found |= grown
+    return found
+
+
+def split_into_groups(bonds: Collection[tuple[int, int]], members: set[int]) -> list[set[int]]:
     """Split bodies into rigid groups: those that bonds connect."""
-    bonds, parts = list(bonds), list[set[int]]()
+    parts = list[set[int]]()
     while members:
-        part = {min(members)}
-        while grown := {k for pair in bonds if part & set(pair) for k in pair} - part:
-            part |= grown
-        parts.append(part)
-        members = members - part
+        parts.append(find_connected(bonds, min(members)))
+        members = members - parts[-1]
     return parts

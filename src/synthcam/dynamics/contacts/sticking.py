@@ -14,6 +14,7 @@ from synthcam.dynamics.contacts.rigid_group import (
     RigidGroup,
     Vector,
     collide_groups,
+    find_connected,
     find_meeting_velocities,
     split_into_groups,
 )
@@ -38,8 +39,7 @@ class StickingBodies:
 
     def find_fellows(self, *balls: int) -> set[int]:
         """Return the bodies that move as one with any of these, themselves among them."""
-        members = {k for pair in self.bonds for k in pair} | set(balls)
-        return set().union(*(part for part in split_into_groups(self.bonds, members) if part & set(balls)))
+        return find_connected(self.bonds, *balls)
 
     def concerns(self, *balls: int) -> bool:
         """Tell whether a hit of these bodies is one of a group, or makes one."""

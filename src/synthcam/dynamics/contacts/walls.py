@@ -12,28 +12,13 @@ from synthcam.dynamics.kinematics import State
 
 @dataclass(frozen=True)
 class Wall(ABC):
-    """A wall that does not move, as high as anything that meets it.
+    """A wall that does not move, as high as anything that meets it."""
 
-    Attributes
-    ----------
-    restitution : float
-        e: a ball that comes at v_n along the normal leaves at e v_n.
-    friction : float
-        Coulomb's coefficient.
-    tangential_restitution : float
-        beta: where the contact sticks, the surface that came at u leaves at -beta u.
-    height : float, optional
-        Height above the plate at which the wall touches balls, m, as the nose of a cushion does. None: at the height of
-        their centres.
-    cushion : str
-        The law of the impact: "han", in one step, or "mathavan", with the directions of slip that change, and without
-        `tangential_restitution`.
-    """
-
-    restitution: float = 1.0
-    friction: float = 0.0
-    tangential_restitution: float = 0.0
-    height: float | None = None
+    restitution: float = 1.0  # e: a ball that comes at v_n along the normal leaves at e v_n
+    friction: float = 0.0  # Coulomb's coefficient
+    tangential_restitution: float = 0.0  # beta: where the contact sticks, the surface that came at u leaves at -beta u
+    height: float | None = None  # above the plate, m, at which it touches balls, as a cushion's nose; None: centrally
+    # The law of the impact: in one step, or with directions of slip that change, and without tangential_restitution.
     cushion: Literal["han", "mathavan"] = "han"
 
     @property
@@ -54,10 +39,7 @@ class Wall(ABC):
         return radius * math.sqrt(1 - self.rise(radius) ** 2)
 
     def time_to_close(self, ball: State, gap: float, rate: float, steepest: float) -> float:
-        """Return a time, s, in which a gap, m, that changes at a rate, m/s, cannot close.
-
-        steepest: a bound of the ball's acceleration, m/s^2.
-        """
+        """Return a time, s, in which a gap, m, that changes at a rate, m/s, cannot close. steepest: see `Leg.bound`."""
         return time_to_close(gap, rate, steepest)
 
 
