@@ -21,8 +21,7 @@ from synthcam.model import list_model_settings, read_model, to_yaml
 from synthcam_shared.application import make_command_line, progress_bar, read_progress_interval, run
 from synthcam_shared.errors import InputError
 from synthcam_shared.interruption import raise_if_interrupted
-from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
-from synthcam_shared.overwriting import check_not_read, check_replaceable
+from synthcam_shared.outputs import as_input_error, check_not_read, check_replaceable, check_writable, write_atomically
 from tracker.camera.camera import Camera
 
 app = make_command_line(
@@ -112,7 +111,7 @@ def find(
     from discrepancy.report import search_page
     from discrepancy.search import search
     from discrepancy.wording import describe_verdict
-    from synthcam_shared.report.folder import replace_folder
+    from synthcam_shared.outputs import replace_folder
 
     started = time.monotonic()
     check_not_read(output, measured, model, camera, policy, *(effects_dir or ()))
@@ -250,7 +249,7 @@ def plan(
     from discrepancy.plan_experiment import plan as planned
     from discrepancy.report import plan_page
     from synthcam.scene.scene import read_scene
-    from synthcam_shared.report.folder import replace_folder
+    from synthcam_shared.outputs import replace_folder
 
     started = time.monotonic()
     check_not_read(output, scene, model)

@@ -32,7 +32,7 @@ from synthcam.library import library
 from synthcam.scene.scene import Scene
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
-from synthcam_shared.report.folder import replace_folder
+from synthcam_shared.outputs import replace_folder
 from synthcam_shared.settings import did_you_mean
 
 Progress = Callable[[int, int], None]

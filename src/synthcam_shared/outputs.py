@@ -1,11 +1,11 @@
-"""Write files and folders whole, lock a folder to one process, and let a killed run be continued."""
+"""Write files and folders whole, overwrite nothing foreign, lock a folder, and let a killed run be continued."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -192,3 +192,54 @@ def publish_folder(folder: Path, final: Path) -> None:
     (folder / UNFINISHED).unlink(missing_ok=True)  # Zarr empties its folder
     shutil.rmtree(final, ignore_errors=True)
     folder.rename(final)
+
+
+@contextmanager
+def replace_folder(output: Path, files: Sequence[str], what: str) -> Iterator[Path]:
+    """Give a report folder to write into, which becomes `output` when everything succeeded.
+
+    An earlier report, which is called `what` in a message, is replaced. It has the first of `files`, which no other
+    program makes, and nothing but these files. Raises InputError where `output` holds other files, or cannot be
+    written.
+    """
+    output = output.resolve()
+    names = {path.name for path in output.iterdir()} if output.is_dir() else set[str]()
+    if output.exists() and (not output.is_dir() or names - set(files) or (names and files[0] not in names)):
+        raise InputError(f"{output}: holds something else; expected {what}, or nothing")
+    check_writable(output)
+    with as_input_error(output), open_scratch_folder(output) as folder:
+        yield folder
+        publish_folder(folder, output)
+
+
+def check_not_read(output: Path, *inputs: Path | None) -> None:
+    """Raise InputError if a command that writes `output` would overwrite one of its own inputs.
+
+    The output may be a file or a folder; links are followed.
+    """
+    for given in filter(None, inputs):
+        with suppress(OSError):  # the reader of a missing file reports it
+            same = os.path.samefile(output, given)
+            if same or (output.is_dir() and output.resolve() in given.resolve().parents):
+                where = "the command reads it" if same else f"the command reads {given} in it"
+                raise InputError(f"{output}: {where}, and would overwrite it; expected another -o")
+
+
+def check_replaceable(output: Path, mark: bytes, maker: str) -> None:
+    """Raise InputError if a command may not overwrite `output`: it lacks the `mark` that `maker` leaves in its files.
+
+    The first or last 4 KiB hold the mark.
+    """
+    if not output.exists() and not output.is_symlink():
+        return
+    if output.is_dir():
+        raise InputError(f"{output}: a folder; expected the name of a file")
+    ends = b""
+    with as_input_error(output):
+        if output.is_file():
+            with output.open("rb") as file:
+                ends = file.read(4096)
+                file.seek(max(output.stat().st_size - 4096, 0))
+                ends += b"\n" + file.read()
+    if mark not in ends:
+        raise InputError(f"{output}: exists and was not made by `{maker}`; expected a new file: choose another -o")

@@ -226,7 +226,7 @@ def combine(
 
     Example: tracker combine out/monday out/tuesday -o out/set
     """
-    from synthcam_shared.overwriting import check_not_read
+    from synthcam_shared.outputs import check_not_read
     from tracker.sets.combined_set import combine as combine_results
     from tracker.sets.set_page import summarise_set
 
@@ -256,7 +256,7 @@ def gas(
 
     Example: tracker gas out/crowd_tracks -o out/gas
     """
-    from synthcam_shared.overwriting import check_not_read
+    from synthcam_shared.outputs import check_not_read
     from tracker.gas.gas_page import summarise_gas
     from tracker.gas.observe import observe_gas, parse_area
     from tracker.results import replace_non_finite

@@ -21,7 +21,7 @@ LAYERS = {
         "arrays errors interruption job_result lazy_names steps track_formats",
         "whitening",
         "arguments outputs settings application start dask_cluster",
-        "overwriting jobs",
+        "jobs",
         "report",
     ],
     "synthcam": [
@@ -88,7 +88,7 @@ LAYERS = {
     ],
     "synthcam.scene": [
         "distribution materials film_time",
-        "apparatus ground_truth sensor_frames",
+        "apparatus ground_truth",
         "motion",
         "clip",
         "scene",

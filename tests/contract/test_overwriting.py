@@ -17,9 +17,14 @@ import synthcam.cli
 import tracker.cli
 from synthcam.model import read_model
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import UNFINISHED, open_scratch_folder, write_atomically
-from synthcam_shared.overwriting import check_not_read, check_replaceable
-from synthcam_shared.report.folder import replace_folder
+from synthcam_shared.outputs import (
+    UNFINISHED,
+    check_not_read,
+    check_replaceable,
+    open_scratch_folder,
+    replace_folder,
+    write_atomically,
+)
 from tracker.pipeline import run as track
 
 MAINS = {"synthcam": synthcam.cli.main, "tracker": tracker.cli.main, "discrepancy": discrepancy.cli.main}

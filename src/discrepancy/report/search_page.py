@@ -26,7 +26,7 @@ from discrepancy.wording import (
     write_story,
 )
 from synthcam.model import Model, write_model
-from synthcam_shared.report.folder import replace_folder
+from synthcam_shared.outputs import replace_folder
 from synthcam_shared.report.numbers import format_number, round_to_error
 from synthcam_shared.report.page import Block, PageList, PageSection, PageTable, write_page
 

@@ -17,15 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.exposure import adjust_gamma, rescale_intensity
 
+from synthcam.camera.sensor import Counts
 from synthcam.dataset.video import check_video
 from synthcam.scene.clip import Clip
 from synthcam.scene.outlines import find_boxes
 from synthcam.scene.scene import check_scene
-from synthcam.scene.sensor_frames import Counts
 from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
-from synthcam_shared.overwriting import check_replaceable
+from synthcam_shared.outputs import as_input_error, check_replaceable, check_writable, write_atomically
 
 MARK = b"made by synthcam"
 ANIMATION_FPS = 20  # GIF counts in hundredths of a second

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import pickle
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.room.finish import SurfaceFinish
-from synthcam.camera.sensor import Sensor
+from synthcam.camera.sensor import Counts, Sensor, SensorChip
 from synthcam.camera.surface import Surface
 from synthcam.dynamics.launch import SPIN_COLUMNS, Launch
 from synthcam.dynamics.solve import PLATE
@@ -27,7 +28,6 @@ from synthcam.scene.film_time import FilmedMotion
 from synthcam.scene.groups import place_groups
 from synthcam.scene.materials import build_finish, build_varnish, list_screen_colours, make_discs_matte
 from synthcam.scene.motion import Motion
-from synthcam.scene.sensor_frames import Counts, OpticalSetup, expose_frames
 from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 
@@ -185,13 +185,49 @@ class Clip:
         return next(self._expose(range(k, k + 1), by_tables=False, quick=quick))
 
     def _expose(self, frames: range, *, by_tables: bool = True, quick: bool = False) -> Iterator[Counts]:
-        varnish = build_varnish(self.surface, self.drawn) if self.finish else None
-        radii = self.launch.bodies.radius.tolist()
-        optics = self.camera, self.lamp, radii, self.room, self.surface, self.finish, varnish
-        setup = OpticalSetup(*optics, self.heights.tolist(), self.plate_z, quick=quick)
-        colour = bool(self.drawn["camera"].get("colour"))
-        key, view = (self.seed, self.number), self.view
-        return expose_frames(view, setup, self.sensor, frames, key, self.orientation, colour, by_tables=by_tables)
+        """Render and expose these frames.
+
+        by_tables: draw the noise of the plate from tables, which take seconds to make; otherwise pixel by pixel, with
+        other random numbers.
+        """
+        camera, colour = self.camera, bool(self.drawn["camera"].get("colour"))
+        apart = 1 << 64  # the seeds of the three chips are further apart than any two seeds that a user may give
+        seeds = (self.seed + c * apart for c in range(3 if colour else 1))
+        chips = [_make_chip(self.sensor, camera.size, camera.exposure, seed) for seed in seeds]
+        renderer = _make_renderer(self.finish is not None, pickle.dumps(self._list_optics(quick)))
+        view, orientation = self.view.as_drawn(), self.orientation
+
+        def centres(t: Array) -> Array:
+            return view.at(t)[:, :, :3].transpose(1, 0, 2) - [0, 0, self.plate_z]
+
+        def rotations(t: Array) -> Array:
+            times = view.times(t)
+            if orientation is None:
+                return np.broadcast_to(np.eye(3), (len(t), len(times), 3, 3))
+            return np.stack([orientation.at(ball, own).as_matrix() for ball, own in enumerate(times)], axis=1)
+
+        paths = (centres, rotations) if self.finish else (centres,)
+        drawn = renderer.frames(*paths, view.spans(frames), view.breaks())
+        for k, rendered in zip(frames, drawn, strict=True):
+            pictures = rendered if isinstance(rendered, tuple) else (rendered,) * len(chips)
+            exposed = (
+                chip.expose(picture if by_tables else picture.image, self.number, k)
+                for chip, picture in zip(chips, pictures, strict=True)
+            )
+            yield np.stack(list(exposed), axis=-1) if colour else next(exposed)
+
+    def _list_optics(self, quick: bool) -> dict[str, Any]:
+        """The arguments of the renderer: everything that decides a picture, except noise and where the balls are."""
+        camera, lamp, radii = replace(self.camera, camera_json={}), self.lamp, self.launch.bodies.radius.tolist()
+        if not self.finish:
+            unnoticed = 0.2 * self.sensor.noise / self.sensor.glint_peak  # changes no position and no brightness
+            mirrors = {"room": self.room, "surface": self.surface, "faintest": unnoticed}
+            return {"camera": camera, "lamp": lamp, "radii": radii} | mirrors
+        if z := self.plate_z:  # the renderer's plate is at z = 0
+            camera, lamp = replace(camera, t=camera.t + z * camera.R[:, 2]), _lower(lamp, z)
+        mirror, heights = build_varnish(self.surface, self.drawn), self.heights.tolist()
+        matte = {"finish": self.finish, "mirror": mirror, "heights": heights, "quick": quick}
+        return {"camera": camera, "lamp": lamp, "radii": radii} | matte
 
     @cached_property
     def orientation(self) -> OrientationHistory | None:
@@ -348,3 +384,27 @@ def _build_launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
             )
         return Launch.single(bodies, time, v0, heading, position)
     return Launch.pair(bodies, time, v0, launch["b"], heading, position, spin)
+
+
+@lru_cache(maxsize=2)
+def _make_renderer(matte: bool, optics: bytes) -> Any:
+    """The renderer of all clips with one setup: its plate and its unit take as long as ten frames.
+
+    optics: its arguments, pickled, because arrays have no hash.
+    """
+    if matte:
+        from synthcam.camera.room.room_renderer import RoomRenderer
+
+        return RoomRenderer(**pickle.loads(optics))
+    from synthcam.camera.render import MirrorRenderer  # here alone: everything else works without OpenGL
+
+    return MirrorRenderer(**pickle.loads(optics))
+
+
+def _lower(lamp: Lamp, by: float) -> Lamp:
+    second = _lower(lamp.second, by) if lamp.second else None
+    return replace(lamp, position=lamp.position - [0, 0, by], second=second)
+
+
+# of all clips of a camera: its fixed pattern takes as long to draw as many frames
+_make_chip = lru_cache(maxsize=6)(SensorChip)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from synthcam_shared.outputs import write_atomically
-from synthcam_shared.report.folder import replace_folder
+from synthcam_shared.outputs import replace_folder, write_atomically
 from synthcam_shared.report.numbers import format_number, format_percent, format_with_error
 from synthcam_shared.report.page import (
     Block,

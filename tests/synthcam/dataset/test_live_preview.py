@@ -10,10 +10,9 @@ import pytest
 
 from synthcam import Scene
 from synthcam.dataset.live_preview import _draw_moved_scene, answer_request, answer_requests, list_sliders, move_sliders
-from synthcam.scene.clip import Clip
+from synthcam.scene.clip import Clip, _make_renderer
 from synthcam.scene.film_time import FilmedMotion
 from synthcam.scene.scene import check_scene, read_scene
-from synthcam.scene.sensor_frames import _renderer
 from synthcam.settings import SCENES
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import parse_yaml
@@ -143,7 +142,7 @@ def test_a_quick_sketch_keeps_its_renderer():
     for noise in (0.0, 40.0):
         sections = {"camera": CLOSE, "surface": surface, "sensor": {"read_noise": noise}}
         check_scene(STILL | sections, "scene").draw().sketch(0, quick=True)
-        found.append(_renderer.cache_info().misses)
+        found.append(_make_renderer.cache_info().misses)
     assert found[0] == found[1]
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.report.folder import replace_folder
+from synthcam_shared.outputs import replace_folder
 
 FILES = ("report.json", "index.html")
 
