@@ -11,8 +11,6 @@ it needs of that instant, and returns the new value::
 their names, after the model's tables (`tabulated_law.py`).
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping

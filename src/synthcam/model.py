@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 import yaml
-from pydantic import ConfigDict, Field, ValidationError, create_model, model_validator
+from pydantic import ConfigDict, Field, create_model, model_validator
 
 from synthcam.effect import ActiveLaws, Effect
 from synthcam.library import cache_until_effects_change, library
@@ -21,7 +21,7 @@ from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TabulatedLaw, kind_of, tabl
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.errors import InputError
-from synthcam_shared.settings import Fraction, Positive, Settings, did_you_mean, to_input_error
+from synthcam_shared.settings import Fraction, Positive, Settings, build_settings, did_you_mean
 
 SOLID_BALL = 0.4  # I/(m R^2)
 
@@ -419,10 +419,7 @@ def read_model(path: Path) -> Model:
 def _validate(loaded: Mapping[str, Any], where: str) -> Model:
     known = {k: v for k, v in resolve_symbols(loaded, where).items() if k in model_file().model_fields}
     refuse_search_only_laws(known.get("free_laws"), where)
-    try:
-        plain = model_file().model_validate(known).model_dump()
-    except ValidationError as e:
-        raise to_input_error(e, where, model_file()) from None
+    plain = build_settings(known, model_file(), where).model_dump()
     return build_model(plain, check_free(plain["free"], where))
 
 

@@ -1,7 +1,5 @@
 """Scene and model files in YAML, found by path or by the name of a scene that comes with the package."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

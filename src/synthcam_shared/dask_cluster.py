@@ -1,7 +1,5 @@
 """Run jobs on the workers of a Dask scheduler. Needs the optional dependency `synthcam[dask]`."""
 
-from __future__ import annotations
-
 import re
 import uuid
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Ctrl-C ends a command even if a library swallows it or turns it into another exception."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading

@@ -5,8 +5,6 @@ work is sent once to each worker and may therefore be large. At no time does mem
 answers that the caller has not taken yet.
 """
 
-from __future__ import annotations
-
 import ctypes
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Write files and folders whole, overwrite nothing foreign, lock a folder, and let a killed run be continued."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import uuid

@@ -1,7 +1,5 @@
 """Settings in YAML: read safely and strictly, with one clear line where they are wrong."""
 
-from __future__ import annotations
-
 import gc
 import re
 from collections.abc import Iterable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Report the steps within one long job, such as one clip, to the progress of the command."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar

@@ -4,8 +4,6 @@ The writers are shared by exports of true tracks (synthcam) and of measured ones
 (0, 0) at the centre of the first pixel; frames and particles count from 0.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Factors that make errors of known covariance independent and of unit size: inverse Cholesky factors."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from synthcam_shared.arrays import Array

@@ -75,24 +75,15 @@ def find_glints(
             seen &= (paths.points[:, 0] - source) @ axes[:, 2] > 0
         order, ball = np.full(len(moment), balls.shape[1]), balls[:, -1]
         lobes = [(spread, flux)]
-        if surface.roughness or surface.scratches:
+        if surface.roughness or surface.scratches:  # tilted: the variance by facets that are tilted by 1 rad rms, px^2
             tilted = ((slope @ reflections.differentiate_by_tilt(source, eye, paths, positions, spheres)) ** 2).sum(2)
-            lobes = _spread_by_facets(surface, spread, flux, tilted)
+            slopes = surface.roughness, np.hypot(surface.roughness, surface.scratch_slope)
+            shares = zip(slopes, (1 - surface.scratches, surface.scratches), strict=True)
+            lobes = [(spread + rms**2 * tilted, share * flux) for rms, share in shares if share]
         found += [[x[seen] for x in (moment, ball, pixels, wide, bright, order)] for wide, bright in lobes]
     none, flat, nowhere = np.zeros(0, np.intp), np.zeros(0), np.zeros((0, 2))
     found.append([none, none, nowhere, nowhere, flat, none])
     return GlintImages(*[np.concatenate(parts) for parts in zip(*found, strict=True)])
-
-
-def _spread_by_facets(surface: Surface, spread: Array, flux: Array, tilted: Array) -> list[tuple[Array, Array]]:
-    """The lobes of a rough or scratched mirror: variance (n, 2), px^2, and flux (n,) of each.
-
-    tilted: (n, 2), px^2, the variance by facets that are tilted by 1 rad rms.
-    """
-    slopes = surface.roughness, np.hypot(surface.roughness, surface.scratch_slope)
-    shares = 1 - surface.scratches, surface.scratches
-    both = zip(slopes, shares, strict=True)
-    return [(spread + rms**2 * tilted, share * flux) for rms, share in both if share]
 
 
 def _batch_chains(

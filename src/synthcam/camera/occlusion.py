@@ -1,7 +1,5 @@
 """Computes how much of each ball other balls hide from the camera."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -19,48 +17,37 @@ def compute_hidden_shares(camera: PinholeCamera, centres: Array, radii: Array, *
 
     max_paired: up to so many balls, frames in which no two overlap are found first, by all pairs in all frames at once.
     """
-    eye, points = camera.centre, _spread_points(OUTLINE_POINTS)
+    k = np.arange(OUTLINE_POINTS) + 0.5
+    spiral = k * np.pi * (3 - np.sqrt(5))  # of the golden angle: points evenly spread over the unit disc
+    points = np.sqrt(k / OUTLINE_POINTS)[:, None] * np.column_stack([np.cos(spiral), np.sin(spiral)])
     there = np.isfinite(radii)[:, None] & np.isfinite(centres).all(axis=2)
+    sights = centres - camera.centre
+    fars = np.linalg.norm(sights, axis=2)
+    ways, angles = sights / fars[..., None], np.arcsin(np.minimum(radii[:, None] / fars, 1.0))  # of half the outline
     out = np.where(there, 0.0, np.nan)
     crowded = there.sum(axis=0) > 1
     if len(centres) <= max_paired:
-        crowded &= _overlap(eye, centres, radii)
+        one, other = np.triu_indices(len(centres), 1)
+        crowded &= (_measure_angle(ways[one], ways[other]) < angles[one] + angles[other]).any(axis=0)
     for frame in np.flatnonzero(crowded).tolist():
         balls = np.flatnonzero(there[:, frame])
-        sight = centres[balls, frame] - eye
-        far = np.linalg.norm(sight, axis=1)
-        angle = np.arcsin(np.minimum(radii[balls] / far, 1.0))  # of half the outline
-        way = sight / far[:, None]
+        far, way, angle = (each[balls, frame] for each in (fars, ways, angles))
         pairs = cKDTree(way).query_pairs(4 * np.sin(angle.max() / 2), output_type="ndarray")
-        between = 2 * np.arcsin(np.minimum(np.linalg.norm(way[pairs[:, 0]] - way[pairs[:, 1]], axis=1) / 2, 1.0))
-        pairs = pairs[between < angle[pairs].sum(axis=1)]
+        pairs = pairs[_measure_angle(way[pairs[:, 0]], way[pairs[:, 1]]) < angle[pairs].sum(axis=1)]
         covered: dict[int, Flags] = {}
-        for one, other in pairs.tolist():
-            back, front = (one, other) if far[one] > far[other] else (other, one)
-            if back not in covered:
-                covered[back] = np.zeros(OUTLINE_POINTS, dtype=bool)
+        for a, b in pairs.tolist():
+            back, front = (a, b) if far[a] > far[b] else (b, a)
             rays = _aim_at_outline(way[back], float(np.tan(angle[back])), points)
-            covered[back] |= rays @ way[front] > np.cos(angle[front])
+            hidden = rays @ way[front] > np.cos(angle[front])
+            covered[back] = covered.get(back, False) | hidden
         for back, rows in covered.items():
             out[balls[back], frame] = rows.mean()
     return out
 
 
-def _overlap(eye: Array, centres: Array, radii: Array) -> Flags:
-    """Tell for each frame whether the outlines of two balls overlap, as the camera sees them."""
-    sight = centres - eye
-    far = np.linalg.norm(sight, axis=2)
-    angle, way = np.arcsin(np.minimum(radii[:, None] / far, 1.0)), sight / far[..., None]
-    one, other = np.triu_indices(len(centres), 1)
-    between = 2 * np.arcsin(np.minimum(np.linalg.norm(way[one] - way[other], axis=2) / 2, 1.0))
-    return np.asarray((between < angle[one] + angle[other]).any(axis=0))
-
-
-def _spread_points(count: int) -> Array:
-    """Points (count, 2) evenly spread over the unit disc, on a spiral of the golden angle."""
-    k = np.arange(count) + 0.5
-    angle = k * np.pi * (3 - np.sqrt(5))
-    return np.asarray(np.sqrt(k / count)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+def _measure_angle(one: Array, other: Array) -> Array:
+    """The angle between unit vectors (..., 3), rad."""
+    return np.asarray(2 * np.arcsin(np.minimum(np.linalg.norm(one - other, axis=-1) / 2, 1.0)))
 
 
 def _aim_at_outline(way: Array, size: float, points: Array) -> Array:

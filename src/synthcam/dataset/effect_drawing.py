@@ -1,7 +1,5 @@
 """Draw what an effect does: a collision with and without it, and the difference of the tracks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Export a dataset to the formats of other programs: each file of the folder `exports` is one format."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import pkgutil

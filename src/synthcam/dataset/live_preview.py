@@ -1,7 +1,5 @@
 """Answer requests for pictures of scenes, a line of JSON each, for a page whose sliders move the numbers of a scene."""
 
-from __future__ import annotations
-
 import base64
 import copy
 import json
@@ -13,11 +11,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
 import yaml
 from pydantic import Field
 
+from synthcam.dataset.labelled_frames import encode_png
 from synthcam.dataset.preview import show_on_screen
 from synthcam.scene.clip import Clip
 from synthcam.scene.distribution import parse_distribution
@@ -29,6 +27,7 @@ from synthcam_shared.errors import InputError, NoGL
 from synthcam_shared.settings import Settings, build_settings
 
 MAX_BALLS = 60  # that a slider offers
+FRAMES_OF_PATHS = 60  # at most
 
 
 class PreviewRequest(Settings):
@@ -71,19 +70,20 @@ def answer_request(values: Any) -> dict[str, Any]:
         raise InputError(f"{request.scene}: no such file among the scenes of synthcam")
     scene, start, moved, clip = _draw_moved_scene(path, tuple(sorted(request.values.items())), request.seed)
     sharp = request.sharp or not is_under_room_light(clip.drawn)
+    times = np.unique(np.linspace(0, clip.frames - 1, FRAMES_OF_PATHS).round()) / clip.camera.fps
+    paths = [clip.camera.project(path).astype(float).tolist() for path in clip.view.at(times)[:, :, :3]]
     shown = clip if sharp else _reduce_camera(moved.settings, clip, request.seed)
-    k = _choose_frame(clip) if request.frame is None else min(request.frame, clip.frames - 1)
+    hit = clip.view.motion.first("contact")
+    when = hit.t - clip.camera.exposure if hit else 0.5 * clip.frames / clip.camera.fps
+    k = min(max(int(when * clip.camera.fps), 0) if request.frame is None else request.frame, clip.frames - 1)
     picture = show_on_screen(shown.sketch(k, quick=not request.sharp), shown)
-    encoded = cv2.imencode(
-        ".png", picture[..., ::-1] if picture.ndim == 3 else picture, [cv2.IMWRITE_PNG_COMPRESSION, 1]
-    )
     return {
-        "picture": base64.b64encode(encoded[1].tobytes()).decode(),
+        "picture": base64.b64encode(encode_png(picture, compression=1)).decode(),
         "size": list(clip.camera.size),
         "sharp": sharp,
         "frame": k,
         "frames": clip.frames,
-        "paths": _find_paths(clip),
+        "paths": [[[round(x, 1), round(y, 1)] for x, y in path] for path in paths],
         "yaml": yaml.safe_dump(moved.settings, sort_keys=False, default_flow_style=None, width=100),
         "sliders": [asdict(slider) for slider in list_sliders(scene, start)],
         "used": [slider.name for slider in list_sliders(moved, clip.drawn)],
@@ -117,20 +117,6 @@ def _reduce_camera(settings: dict[str, Any], clip: Clip, seed: int, *, factor: i
     return replace(check_scene(reduced, "preview").draw(seed=seed), trajectory=clip.view.motion)
 
 
-def _choose_frame(clip: Clip) -> int:
-    """The last frame before the first contact, or the middle one."""
-    hit = clip.view.motion.first("contact")
-    when = hit.t - clip.camera.exposure if hit else 0.5 * clip.frames / clip.camera.fps
-    return min(max(int(when * clip.camera.fps), 0), clip.frames - 1)
-
-
-def _find_paths(clip: Clip, *, most: int = 60) -> list[list[list[float]]]:
-    """The positions of each ball in at most so many frames, px."""
-    times = np.unique(np.linspace(0, clip.frames - 1, most).round()) / clip.camera.fps
-    pixels = [clip.camera.project(path) for path in clip.view.at(times)[:, :, :3]]
-    return [[[round(float(x), 1), round(float(y), 1)] for x, y in path] for path in pixels]
-
-
 @dataclass(frozen=True)
 class Slider:
     """One number of a scene, in `unit`; `factor` units are one of SI."""
@@ -148,23 +134,18 @@ class Slider:
 def list_sliders(scene: Scene, drawn: dict[str, Any]) -> list[Slider]:
     """The sliders of a scene. drawn: the settings of the clip whose numbers they show at first."""
     timing, sensor, camera = drawn["timing"], drawn["sensor"], drawn["camera"]
-    speed, light = (
-        _find_speed(scene.settings, drawn),
-        sensor.get("white" if is_under_room_light(drawn) else "glint_peak", 200.0),
-    )
-    at, field = drawn["lamp"]["position"][0], camera["size"][0] * camera["scale"]
-    listed = [Slider("speed", "Speed", *speed)]
-    if not _has_many(scene.settings) and drawn["launch"]["kind"] == "pair":
-        listed.append(Slider("offset", "Offset b", "", drawn["launch"]["b"], -0.95, 0.95))
+    light = sensor.get("white" if is_under_room_light(drawn) else "glint_peak", 200.0)
+    at = drawn["lamp"]["position"][0]
+    far = 2e3 * max(abs(at), camera["size"][0] * camera["scale"])
+    pair = not _has_many(scene.settings) and drawn["launch"]["kind"] == "pair"
     return [
-        *listed,
+        Slider("speed", "Speed", *_find_speed(scene.settings, drawn)),
+        *([Slider("offset", "Offset b", "", drawn["launch"]["b"], -0.95, 0.95)] if pair else []),
         Slider("restitution", "Restitution r", "", drawn["model"]["restitution"], 0.0, 1.0),
         Slider("friction", "Sliding friction", "", drawn["model"]["sliding_friction"], 0.01, 0.6),
         Slider("balls", "Balls", "", *_count_balls(scene.settings, drawn), whole=True),
         Slider("light", "Light", "counts", light, 5.0, max(4 * light, 800.0)),
-        Slider(
-            "lamp", "Lamp, to the right", "mm", 1e3 * at, -2e3 * max(abs(at), field), 2e3 * max(abs(at), field), 1e3
-        ),
+        Slider("lamp", "Lamp, to the right", "mm", 1e3 * at, -far, far, 1e3),
         Slider("exposure", "Exposure", "ms", 1e3 * timing["exposure"], 0.0, 1e3 / timing["fps"], 1e3),
         Slider("noise", "Read noise", "e-", sensor["read_noise"], 0.0, max(3 * sensor["read_noise"], 200.0)),
     ]

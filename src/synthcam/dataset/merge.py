@@ -1,7 +1,5 @@
 """Merge shards that were made separately into the dataset, byte for byte, that one process makes."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 from importlib.metadata import version

@@ -1,7 +1,5 @@
 """The folder NAME.partial of an unfinished dataset: begun, continued after an interruption, renamed when complete."""
 
-from __future__ import annotations
-
 import glob
 import json
 import os

@@ -1,7 +1,5 @@
 """Preview a scene as a picture or an animation, marked as made by synthcam, and measure how fast frames are made."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import struct
@@ -9,6 +7,7 @@ import tempfile
 import time
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from skimage.exposure import adjust_gamma, rescale_intensity
 
 from synthcam.camera.sensor import Counts
+from synthcam.dataset.labelled_frames import encode_png
 from synthcam.dataset.video import check_video
 from synthcam.scene.clip import Clip
 from synthcam.scene.outlines import find_boxes
@@ -53,22 +53,17 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
     below the frame, at most so many times larger, with dark parts brightened.
     """
     check_picture_output(path, "synthcam preview")
-    view = clip.view
-    hit = view.motion.first("contact")
-    when = hit.t if hit else 0.5 * clip.frames / clip.camera.fps
     if frame is not None and not 0 <= frame < clip.frames:
         raise InputError(f"--frame {frame}: expected 0 to {clip.frames - 1}; the clip has {clip.frames} frames")
-    before = min(max(int((when - clip.camera.exposure) * clip.camera.fps), 0), clip.frames - 1)
-    k = before if frame is None else frame
+    hit = clip.view.motion.first("contact")
+    when = (hit.t if hit else 0.5 * clip.frames / clip.camera.fps) - clip.camera.exposure
+    k = min(max(int(when * clip.camera.fps), 0), clip.frames - 1) if frame is None else frame
     counts = next(itertools.islice(clip.pictures(max(k, 1)), min(k, 1), None))
     picture = _eight_bits(counts, clip)
     if magnify:
         picture = _with_inset(picture, _list_outlines(clip, k), magnify, clip)
-    ok, data = cv2.imencode(".png", picture[..., ::-1] if picture.ndim == 3 else picture)
-    if not ok:
-        raise OSError(f"{path}: could not be encoded as PNG")
     with as_input_error(path):
-        write_atomically(path, mark_picture(data.tobytes(), ".png"))
+        write_atomically(path, mark_picture(encode_png(picture), ".png"))
 
 
 def write_animation(clip: Clip, path: Path) -> float:
@@ -88,37 +83,44 @@ def write_animation(clip: Clip, path: Path) -> float:
     def render_frames() -> Iterator[NDArray[np.uint8]]:
         for k, counts in enumerate(clip.pictures()):
             patch = _eight_bits(counts, clip)[rows, columns]
-            large = _enlarge(patch if clip.finish else _brighten(_remove_noise(patch, floor), _black(clip)), zoom)
-            yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
+            if not clip.finish:  # moving noise hides what a film is to show, and fills its file
+                smooth = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), 0.8)
+                patch = _brighten(np.where(smooth > floor, np.rint(smooth), 0).astype(np.uint8), _black(clip))
+            large = _enlarge(patch, zoom)
+            strip, font = np.full((24, *large.shape[1:]), 40, np.uint8), min(0.5, large.shape[1] / 480)
+            text = f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms"
+            cv2.putText(strip, text, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, font, (230, 230, 230), 1, cv2.LINE_AA)
+            yield np.vstack([large, strip])
 
-    check_picture_output(path, "synthcam preview")
-    with as_input_error(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    with as_input_error(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
-        aside = Path(folder) / f"film{path.suffix.lower()}"
+    with _write_aside(path) as aside:
         if aside.suffix == ".gif":
             # In memory first: on a full disk, imageio tries again when it is deleted, and prints a traceback.
             pace = 1000 / ANIMATION_FPS
-            data = iio.imwrite("<bytes>", list(render_frames()), extension=".gif", duration=pace, loop=0)
-            aside.write_bytes(mark_picture(data, ".gif"))
+            aside.write_bytes(iio.imwrite("<bytes>", list(render_frames()), extension=".gif", duration=pace, loop=0))
         else:
             _write_mp4(aside, render_frames())
-            aside.write_bytes(mark_picture(aside.read_bytes(), ".mp4"))
             check_video(aside, clip.frames)
-        aside.replace(path)
     return slower
+
+
+@contextmanager
+def _write_aside(path: Path) -> Iterator[Path]:
+    """Give the path of a file to be written, which is then marked and becomes `path`."""
+    check_picture_output(path, "synthcam preview")
+    with as_input_error(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
+            aside = Path(folder) / f"film{path.suffix.lower()}"
+            yield aside
+            aside.write_bytes(mark_picture(aside.read_bytes(), aside.suffix))
+            aside.replace(path)
 
 
 def write_motion_map(clip: Clip, path: Path) -> None:
     """Preview the motion of a clip from above: paths, walls and events as .png, or moving bodies as .gif or .mp4."""
-
-    motion, kind = clip.solve(), path.suffix.lower()
-    check_picture_output(path, "synthcam preview")
-    with as_input_error(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    with as_input_error(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
-        aside = Path(folder) / f"map{kind}"
-        if kind == ".png":
+    motion = clip.solve()
+    with _write_aside(path) as aside:
+        if aside.suffix == ".png":
             from matplotlib.figure import Figure  # here alone: slow to load
 
             figure = Figure(layout="constrained")
@@ -126,8 +128,6 @@ def write_motion_map(clip: Clip, path: Path) -> None:
             figure.savefig(aside, dpi=100)
         else:
             motion.animate(aside, ANIMATION_FPS, clip.camera.fps / ANIMATION_FPS)
-        aside.write_bytes(mark_picture(aside.read_bytes(), kind))
-        aside.replace(path)
 
 
 def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]]) -> None:
@@ -154,19 +154,6 @@ def _crop_to_paths(clip: Clip, positions: Array) -> tuple[slice, slice]:
     high = np.clip(np.ceil(inside.max(axis=0) + margin), None, [width, height]).astype(int)
     high -= (high - low) % 2
     return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
-
-
-def _remove_noise(picture: NDArray[np.uint8], floor: float) -> NDArray[np.uint8]:
-    """Smoothed a little, and black below `floor`: moving noise hides what a film is to show, and fills its file."""
-    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.8)
-    return np.where(smooth > floor, np.rint(smooth), 0).astype(np.uint8)
-
-
-def _with_caption(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
-    strip = np.full((24, *picture.shape[1:]), 40, np.uint8)
-    font = min(0.5, picture.shape[1] / 480)
-    cv2.putText(strip, text, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, font, (230, 230, 230), 1, cv2.LINE_AA)
-    return np.vstack([picture, strip])
 
 
 def _brighten(picture: NDArray[np.uint8], black: float) -> NDArray[np.uint8]:

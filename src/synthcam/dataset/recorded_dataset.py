@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import numpy as np
 import pandas as pd
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError, first_line
 from synthcam_shared.track_formats import split_by_particle
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -182,7 +185,27 @@ class RecordedClip:
             raise InputError(f"{self.folder}: damaged ({first_line(error)}); `synthcam verify` lists more") from None
 
 
-class RecordedFilm(Sequence[NDArray[Any]]):
+class LazySequence(Sequence[Item]):
+    """A sequence whose items are read when it is indexed; a slice of it is a list."""
+
+    @overload
+    def __getitem__(self, index: int) -> Item: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Item]: ...
+    def __getitem__(self, index: int | slice) -> Item | list[Item]:
+        if isinstance(index, slice):
+            return list(self._read(range(len(self))[index]))
+        return next(self._read([range(len(self))[index]]))
+
+    def __iter__(self) -> Iterator[Item]:
+        return self._read(range(len(self)))
+
+    @abstractmethod
+    def _read(self, numbers: Sequence[int]) -> Iterator[Item]:
+        """Read these items."""
+
+
+class RecordedFilm(LazySequence[NDArray[Any]]):
     """The frames of a stack on disk, each read when it is indexed; no frame is kept.
 
     Examples
@@ -207,18 +230,6 @@ class RecordedFilm(Sequence[NDArray[Any]]):
 
     def __len__(self) -> int:
         return self._count
-
-    @overload
-    def __getitem__(self, index: int) -> NDArray[Any]: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[NDArray[Any]]: ...
-    def __getitem__(self, index: int | slice) -> NDArray[Any] | list[NDArray[Any]]:
-        if isinstance(index, slice):
-            return list(self._read(range(len(self))[index]))
-        return next(self._read([range(len(self))[index]]))
-
-    def __iter__(self) -> Iterator[NDArray[Any]]:
-        return self._read(range(len(self)))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.asarray(np.stack(list(self)), dtype=dtype)
@@ -246,7 +257,7 @@ def _read_json(path: Path) -> Any:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Dataset(Sequence[RecordedClip]):
+class Dataset(LazySequence[RecordedClip]):
     """The clips of a dataset, in order. `open_dataset` makes it.
 
     Attributes
@@ -305,22 +316,15 @@ class Dataset(Sequence[RecordedClip]):
     def __len__(self) -> int:
         return len(self._folders)
 
-    @overload
-    def __getitem__(self, index: int) -> RecordedClip: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[RecordedClip]: ...
-    def __getitem__(self, index: int | slice) -> RecordedClip | list[RecordedClip]:
-        if isinstance(index, slice):
-            return [self._clip(k) for k in range(len(self))[index]]
-        return self._clip(range(len(self))[index])
-
-    def _clip(self, k: int) -> RecordedClip:
-        folder = self._folders[k]
-        if self.secret is None:
-            return RecordedClip(int(folder.name), folder, {})
-        truth = {str(column): value for column, value in self.truth.iloc[k].items()}
-        secret = self.secret / "clips" / folder.name / "truth"
-        return RecordedClip(int(folder.name), folder, truth, secret, self._clips_of_scene[truth["scene"]])
+    def _read(self, numbers: Sequence[int]) -> Iterator[RecordedClip]:
+        for k in numbers:
+            folder = self._folders[k]
+            if self.secret is None:
+                yield RecordedClip(int(folder.name), folder, {})
+                continue
+            truth = {str(column): value for column, value in self.truth.iloc[k].items()}
+            secret = self.secret / "clips" / folder.name / "truth"
+            yield RecordedClip(int(folder.name), folder, truth, secret, self._clips_of_scene[truth["scene"]])
 
 
 @check_arguments

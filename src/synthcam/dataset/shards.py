@@ -1,7 +1,5 @@
 """Write a stream of labelled frames in shards, as tar files of WebDataset or as Zarr stores; a run can be continued."""
 
-from __future__ import annotations
-
 import importlib.util
 import io
 import json

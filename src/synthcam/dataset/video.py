@@ -5,8 +5,6 @@ and, without a gamma, its counts. One thread encodes and no frame depends on a l
 same frames give the same bytes.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator
@@ -18,13 +16,12 @@ import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from synthcam.dataset.recorded_dataset import RecordedClip
 from synthcam.scene.apparatus import MAX_AVI_FPS, VideoSettings, find_video_problem
 from synthcam_shared.errors import InputError
 from synthcam_shared.interruption import raise_if_interrupted
-from synthcam_shared.settings import parse_yaml, to_input_error
+from synthcam_shared.settings import build_settings, parse_yaml
 
 Frames = Iterator[NDArray[Any]]
 VIDEO_FILES = {"frames.mp4", "frames.avi", "frames.mov"}
@@ -119,10 +116,7 @@ def write_videos(clips: Iterator[RecordedClip], folder: Path, text: str) -> None
     text: as of `parse_encoding`.
     """
     given = {key: parse_yaml(value) for key, value in parse_encoding(text, "--format").items()}
-    try:
-        how = VideoSettings.model_validate(given).model_dump(exclude_none=True)
-    except ValidationError as error:
-        raise to_input_error(error, f"--format {text}", VideoSettings) from None
+    how = build_settings(given, VideoSettings, f"--format {text}").model_dump(exclude_none=True)
     for clip in clips:
         if not clip.video:
             raise InputError(f"{clip.stack}: no such file; expected a dataset with video")

@@ -5,8 +5,6 @@ touch again, or a ball that stopped starts again, `solve` takes over that collis
 nothing: its motion is free from the time of its launch on, and straight on before it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass, field
 from typing import Any

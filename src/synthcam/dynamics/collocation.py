@@ -8,8 +8,6 @@ group similar problems. Arrays are (components, problems, nodes), since long las
 Clenshaw & Norton, Comput. J. 6 (1963) 88; Trefethen, Approximation Theory and Approximation Practice (2013).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -10,8 +10,6 @@ V is the velocity of the centre of mass and l the radius of gyration. The motion
 w) = r d. There the direction d is smooth to the end, where r falls to nothing in a finite time.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -98,8 +98,8 @@ class Forces:
     def accelerate_rolling(self, place: Array, v: Array, other: Any) -> Array:
         """Return the acceleration of rolling balls, (2, m, n) m/s^2."""
         model, speed = self.model, np.hypot(v[0], v[1])
-        instant = self.list_inputs(place, v, other, speed=speed)
-        loss = model.laws("rolling", model.rolling_drag * speed + model.rolling_decel, instant)
+        base, inputs = model.rolling_drag * speed + model.rolling_decel, self.list_inputs(place, v, other, speed=speed)
+        loss = model.laws("rolling", base, inputs)
         out = v * (-loss / np.maximum(speed, TINY))
         if model.laws.has_effect_on("push"):
             out = out + self.push_share * self.push(place, v, other)

@@ -1,7 +1,5 @@
 """Two balls of one run that push each other: their past before the launch and their next legs, solved together."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

@@ -9,8 +9,6 @@ On the plate z = R. The contact velocity u = v - R (w x z) is the velocity of th
 - The other functions take states (..., 9), radii (...) and elapsed times (..., m), and return states (..., m, 9).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

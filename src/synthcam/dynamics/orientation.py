@@ -1,7 +1,5 @@
 """The orientation of each ball over time: the integral of its spin, by the Magnus series of fourth order."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The event loop: from a model and a launch to the whole motion, in exact legs between exactly timed events."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

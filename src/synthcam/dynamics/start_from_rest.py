@@ -4,8 +4,6 @@ The ball starts in the direction of the push. Let s be its speed and f the push 
     direction phi obeys (s/f) d' + sin d = (s/f) phi'. This equation has one smooth solution.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from synthcam.dynamics.collocation import make_matrices, multiply_on_nodes

@@ -1,7 +1,5 @@
 """A tabletop: the support of each body, the walls, and the scatter of contacts."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

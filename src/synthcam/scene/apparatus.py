@@ -1,7 +1,5 @@
 """The apparatus of an experiment: camera, lamp, surfaces and sensor, as a scene and camera.json name them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 

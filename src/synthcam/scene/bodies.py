@@ -1,7 +1,5 @@
 """Scenes of many bodies: what they are, how each starts, what carries them, and the walls between which they move."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, Literal, Self
 
@@ -16,7 +14,7 @@ from synthcam.dynamics.supports import Air, DryPlate, Support
 from synthcam.dynamics.tabletop import ContactScatter, Table
 from synthcam.model import Ball, Bodies, Model
 from synthcam.scene.materials import BallFinishSettings
-from synthcam_shared.arrays import Array, Index
+from synthcam_shared.arrays import Array, Flags, Index
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings
 
@@ -209,8 +207,8 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
             f"{where}: bodies: {len(kinds)} of them and {len(launches)} launches; expected as many, or one"
         )
     bodies = _build_bodies(model, kinds)
-    supports = tuple(_build_support(model, kind.get("support") or drawn["support"]) for kind in kinds)
-    walls = tuple(_build_wall(wall) for wall in drawn["walls"])
+    supports = tuple(_build_support(model, **(kind.get("support") or drawn["support"])) for kind in kinds)
+    walls = tuple(_build_wall(**wall) for wall in drawn["walls"])
     for number, wall in enumerate(walls):
         if wall.cushion == "mathavan" and any(supports):
             raise InputError(f"{where}: walls.{number}.cushion: mathavan is a law of balls on the plate; expected han")
@@ -235,7 +233,12 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
         raise InputError(f"{where}: contact_force: of bodies that do not stick; expected sticks: 0 with it")
     if force and model.laws.has_effect_on("loft"):
         raise InputError(f"{where}: contact_force: balls do not hop in contacts that last; expected no effect `hop`")
-    later = tuple(_build_later(k, launch, states[k]) for k, launch in enumerate(launches) if _starts_later(launch))
+    later = []
+    for k, launch in enumerate(launches):
+        push = launch.get("push", {})
+        if launch["time"] or push:
+            hand = push.get("until", -math.inf), tuple(push.get("acceleration", (0.0, 0.0)))
+            later.append(LaterLaunch(k, launch["time"], tuple(states[k, 3:].tolist()), *hand))
     if (later or force) and model.laws.needs("push", "other"):
         raise InputError(
             f"{where}: balls that push each other are launched together and hit in an instant; "
@@ -253,7 +256,7 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
         sticks=sticks if any(sticks) else (),
         spring=ContactSpring(**force) if force else None,
     )
-    return Launch(0.0, states, bodies, later), table
+    return Launch(0.0, states, bodies, tuple(later)), table
 
 
 def list_kinds(drawn: dict[str, Any]) -> list[dict[str, Any]]:
@@ -289,15 +292,6 @@ def find_heights(drawn: dict[str, Any], where: str) -> Array:
     return np.where(flat, height, 0.0)
 
 
-def _starts_later(launch: dict[str, Any]) -> bool:
-    return bool(launch["time"] or launch.get("push"))
-
-
-def _build_later(body: int, launch: dict[str, Any], state: Array) -> LaterLaunch:
-    push = launch.get("push") or {"until": -math.inf, "acceleration": (0.0, 0.0)}
-    return LaterLaunch(body, launch["time"], tuple(state[3:].tolist()), push["until"], tuple(push["acceleration"]))
-
-
 def _build_bodies(model: Model, kinds: list[dict[str, Any]]) -> Bodies:
     bodies = model.bodies([kind["label"] for kind in kinds])
     radius, mass = bodies.radius.copy(), bodies.mass.copy()
@@ -310,23 +304,20 @@ def _build_bodies(model: Model, kinds: list[dict[str, Any]]) -> Bodies:
     return Bodies(radius, mass, bodies.of_a, inertia)
 
 
-def _build_support(model: Model, settings: dict[str, Any]) -> Support | None:
-    if settings["kind"] == "plate":
+def _build_support(model: Model, kind: str, **numbers: Any) -> Support | None:
+    if kind == "plate":
         return None
-    if settings["kind"] == "dry":
+    if kind == "dry":
         return DryPlate(model.sliding_friction * model.gravity)
-    numbers: dict[str, Any] = {
-        name: tuple(v) if isinstance(v, list) else v for name, v in settings.items() if name != "kind"
-    }
-    return Air(**numbers)
+    return Air(**_freeze(numbers))
 
 
-def _build_wall(settings: dict[str, Any]) -> Wall:
-    names = "restitution friction tangential_restitution height cushion".split()
-    law: dict[str, Any] = {name: settings.get(name) for name in names}
-    if settings.get("start"):
-        return StraightWall(**law, start=tuple(settings["start"]), end=tuple(settings["end"]))
-    return Rim(**law, centre=tuple(settings["centre"]), radius=settings["radius"], inside=settings["inside"])
+def _build_wall(*, inside: bool, **numbers: Any) -> Wall:
+    return StraightWall(**_freeze(numbers)) if "start" in numbers else Rim(**_freeze(numbers), inside=inside)
+
+
+def _freeze(numbers: dict[str, Any]) -> dict[str, Any]:
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in numbers.items()}
 
 
 def _state(launch: dict[str, Any], radius: float, inertia: float) -> Array:
@@ -344,22 +335,20 @@ def _check_places(states: Array, bodies: Bodies, walls: tuple[Wall, ...], where:
         i, j = found
         depth = radius[i] + radius[j] - np.linalg.norm(states[i, :3] - states[j, :3])
         raise InputError(f"{where}: launches: bodies {i} and {j} overlap by {depth:.3g} m; expected none to overlap")
-    loop = _closed_loop(walls)
+    outside = _find_outside(states[:, :2], walls)
     near = _list_walls_near(states[:, :2], radius, walls)
     for k, (x, y) in enumerate(states[:, :2].tolist()):
         for number in near.get(k, ()):
             wall = walls[number]
             far, _, _ = wall.distance(x, y)
             if abs(wall.rise(radius[k])) >= 1:
-                raise InputError(
-                    f"{where}: walls.{number}.height: expected a height within body {k}, 0 to {2 * radius[k]:g} m"
-                )
+                within = f"expected a height within body {k}, 0 to {2 * radius[k]:g} m"
+                raise InputError(f"{where}: walls.{number}.height: {within}")
             if far < wall.reach(radius[k]) - tolerance:
                 side = "in" if far > -radius[k] else "beyond"
-                raise InputError(
-                    f"{where}: launches.{k}: the body is {side} wall {number}; expected it clear of the walls"
-                )
-        if loop is not None and not _is_inside(x, y, loop):
+                clear = f"the body is {side} wall {number}; expected it clear of the walls"
+                raise InputError(f"{where}: launches.{k}: {clear}")
+        if outside[k]:
             raise InputError(f"{where}: launches.{k}: the body is outside the walls; expected it inside")
 
 
@@ -413,17 +402,17 @@ def _find_overlap(centres: Array, radius: Array, tolerance: float) -> tuple[int,
     return None
 
 
-def _closed_loop(walls: tuple[Wall, ...]) -> Array | None:
-    """Return the corners (n, 2) of the walls where all are straight and each begins where the one before ends."""
-    if len(walls) < 3 or not all(isinstance(w, StraightWall) for w in walls):
-        return None
-    starts = np.array([w.start for w in walls if isinstance(w, StraightWall)])
-    ends = np.array([w.end for w in walls if isinstance(w, StraightWall)])
-    return starts if np.allclose(np.roll(starts, -1, axis=0), ends) else None
+def _find_outside(places: Array, walls: tuple[Wall, ...]) -> Flags:
+    """Find the places (n, 2) outside of walls that form a polygon, by how often the walls turn about them.
 
-
-def _is_inside(x: float, y: float, corners: Array) -> bool:
-    """Tell whether a point is in a polygon: how often the walls turn about it."""
-    angles = np.arctan2(corners[:, 1] - y, corners[:, 0] - x)
-    steps = np.diff(np.append(angles, angles[0]))
-    return bool(abs(np.sum((steps + math.pi) % (2 * math.pi) - math.pi)) > math.pi)
+    Walls form a polygon where all are straight and each begins where the one before ends.
+    """
+    ends = np.array([(w.start, w.end) for w in walls if isinstance(w, StraightWall)])
+    if not 3 <= len(walls) == len(ends) or not np.allclose(np.roll(ends[:, 0], -1, axis=0), ends[:, 1]):
+        return np.zeros(len(places), dtype=bool)
+    outside = np.zeros(len(places), dtype=bool)
+    for k, place in enumerate(places):
+        angles = np.arctan2(*(ends[:, 0] - place).T[::-1])
+        steps = np.diff(angles, append=angles[0])
+        outside[k] = abs(((steps + math.pi) % (2 * math.pi) - math.pi).sum()) <= math.pi
+    return outside

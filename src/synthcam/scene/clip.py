@@ -366,24 +366,16 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
     )
 
 
-def _ball_labels(launch: dict[str, Any]) -> tuple[str, ...]:
-    """Labels of ball 1, the target, and ball 2, the striker."""
-    striker = launch["striker"]
-    return (striker,) if launch["kind"] == "single" else ("b" if striker == "a" else "a", striker)
-
-
 def _build_launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
-    heading, v0, position = launch["heading"], launch["v0"], launch["contact"]
+    heading, v0, position, striker = (launch[key] for key in ("heading", "v0", "contact", "striker"))
     if position == "upstream":
         position = -CONTACT_UPSTREAM_S * v0 * np.array([np.cos(heading), np.sin(heading)])
-    bodies, spin = model.bodies(_ball_labels(launch)), [launch[name] for name in SPIN_COLUMNS]
     if launch["kind"] == "single":
-        if any(spin):
-            raise InputError(
-                f"launch.{SPIN_COLUMNS[int(np.flatnonzero(spin)[0])]}: of a pair's striker; expected 0 of a single ball"
-            )
-        return Launch.single(bodies, time, v0, heading, position)
-    return Launch.pair(bodies, time, v0, launch["b"], heading, position, spin)
+        if spins := [name for name in SPIN_COLUMNS if launch[name]]:
+            raise InputError(f"launch.{spins[0]}: of a pair's striker; expected 0 of a single ball")
+        return Launch.single(model.bodies(striker), time, v0, heading, position)
+    bodies = model.bodies(("b" if striker == "a" else "a") + striker)
+    return Launch.pair(bodies, time, v0, launch["b"], heading, position, [launch[name] for name in SPIN_COLUMNS])
 
 
 @lru_cache(maxsize=2)

@@ -1,7 +1,5 @@
 """Distributions in a scene, drawn for each clip: {uniform: [lo, hi]}, {normal: [mean, sd]}, {choice: [...]}."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 from typing import Any

@@ -69,15 +69,12 @@ class FilmedMotion:
         """States (balls, m, 9) at film times (m,), s."""
         return self.at_own_times(self.times(film))
 
-    def at_own_times(self, times: Array) -> Array:
-        """States (balls, m, 9) of each ball at true times of its own (balls, m), s, as of `times`."""
-        return self._ask_at_own_times(self.motion.at, times)
+    def at_own_times(self, times: Array, ask: Callable[[Array], NDArray[Any]] | None = None) -> NDArray[Any]:
+        """States (balls, m, 9) of each ball at true times of its own (balls, m), s, as of `times`.
 
-    def kinds(self, times: Array) -> NDArray[np.str_]:
-        """Kinds of motion (balls, m) of each ball at true times of its own (balls, m), s, as of `times`."""
-        return self._ask_at_own_times(self.motion.motion, times)
-
-    def _ask_at_own_times(self, ask: Callable[[Array], NDArray[Any]], times: Array) -> NDArray[Any]:
+        ask: maps times (m,) to something else of all balls (balls, m, ...).
+        """
+        ask = ask or self.motion.at
         if not self._has_own_clock:  # one question instead of one for each ball
             return ask(times[0])
         return np.stack([ask(t)[k] for k, t in enumerate(times)])

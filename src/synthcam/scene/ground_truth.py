@@ -104,7 +104,7 @@ def make_true_tracks(
     spans, camera, numbers = view.spans(range(0, frames, every)), view.camera, np.arange(0, frames, every)
     times = view.times(spans.mean(axis=1))
     states = view.at_own_times(times)
-    kinds = view.kinds(times)
+    kinds = view.at_own_times(times, view.motion.motion)
     means = view.mean(spans, lambda states: camera.project(states[..., :3]))
     balls, discs = [], np.zeros(len(states), dtype=bool) if heights is None else heights > 0
     hidden = compute_hidden_shares(camera, states[..., :3], np.where(discs, np.nan, bodies.radius))

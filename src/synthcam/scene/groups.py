@@ -1,7 +1,5 @@
 """Groups of bodies in a scene: where many bodies start, and how fast, by a few numbers."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import zlib
@@ -65,21 +63,26 @@ def place_groups(model: Model, drawn: dict[str, Any], seed: tuple[int, int], whe
         rng, radius = np.random.default_rng(stream), max(_radius(model, one) for one in turns)
         if group["arrangement"] != "rack" and "size" not in group:
             raise InputError(f"{key}.size: expected the width and the height of the area, m")
-        if group["arrangement"] == "rack":
-            places = _rack(group["count"], 2 * radius + group["gap"])
+        count, least = group["count"], 2 * radius + group["gap"]
+        if group["arrangement"] == "rack":  # rows of 1, 2, 3 ... bodies
+            rows = (math.isqrt(8 * count + 1) + 1) // 2
+            sites = [(row * math.sqrt(3) / 2, k - row / 2) for row in range(rows + 1) for k in range(row + 1)]
+            places = least * np.array(sites[:count])
         elif group["arrangement"] == "lattice":
-            places = _lattice(rng, group["count"], group["size"], 2 * radius + group["gap"], key)
+            places = _lattice(rng, count, group["size"], least, key)
         else:
             others = taken - group["centre"], radii + radius + group["gap"]
-            places = _random(rng, group["count"], group["size"], 2 * radius + group["gap"], others, key)
+            places = _random(rng, count, group["size"], least, others, key)
         places = places + group["centre"]
-        speeds = _draw_velocities(rng, group["count"], group["rms_speed"]) + group["velocity"]
+        speeds = rng.standard_normal((count, 2))
+        speeds -= speeds.mean(axis=0) if count > 1 else 0.0
+        speeds = speeds * group["rms_speed"] / math.sqrt((speeds**2).sum(axis=1).mean()) + group["velocity"]
         launches += [
             {"position": at, "velocity": v, "slip": [0.0, 0.0], "spin": 0.0, "height": 0.0, "rise": 0.0, "time": 0.0}
             for at, v in zip(places.tolist(), speeds.tolist(), strict=True)
         ]
         taken, radii = np.vstack([taken, places]), np.append(radii, np.full(len(places), radius))
-        every += itertools.islice(itertools.cycle(turns), group["count"])
+        every += itertools.islice(itertools.cycle(turns), count)
     rest = {name: value for name, value in drawn.items() if name != "groups"}
     return rest | {"launches": launches, "bodies": every if any(kind != kinds for kind in every) else kinds}
 
@@ -91,21 +94,6 @@ def _radius(model: Model, kind: dict[str, Any]) -> float:
         / model.ball.diameter
         * max(model.bodies([kind["label"]]).radius[0], model.ball.radius)
     )
-
-
-def _draw_velocities(rng: np.random.Generator, count: int, rms_speed: float) -> Array:
-    """Velocities (count, 2), m/s, normal in each direction, with that root mean square; several have a mean of 0."""
-    velocities = rng.standard_normal((count, 2))
-    if count > 1:
-        velocities -= velocities.mean(axis=0)
-    return velocities * rms_speed / math.sqrt((velocities**2).sum(axis=1).mean())
-
-
-def _rack(count: int, spacing: float) -> Array:
-    """Places (count, 2), m, of rows of 1, 2, 3 ... bodies at this spacing, the first at the origin."""
-    rows = (math.isqrt(8 * count + 1) + 1) // 2
-    sites = [(row * math.sqrt(3) / 2, k - row / 2) for row in range(rows + 1) for k in range(row + 1)]
-    return spacing * np.array(sites[:count])
 
 
 def _lattice(rng: np.random.Generator, count: int, size: list[float], least: float, key: str) -> Array:
@@ -123,7 +111,11 @@ def _lattice(rng: np.random.Generator, count: int, size: list[float], least: flo
     for _ in range(60):  # to the last digit
         middle = (low + high) / 2
         low, high = (middle, high) if sum(_count_columns(size, middle)) >= count else (low, middle)
-    sites = _sites(size, low)
+    columns, step = list(_count_columns(size, low)), low * math.sqrt(3) / 2
+    x = [low * (np.arange(n) + row % 2 / 2) for row, n in enumerate(columns)]
+    y = -(len(columns) - 1) * step / 2 + np.arange(len(columns)) * step
+    sites = np.column_stack([np.concatenate(x), np.repeat(y, columns)])
+    sites[:, 0] -= sites[:, 0].max() / 2
     chosen = np.sort(rng.permutation(len(sites))[:count])
     reach = (low - least) / 2 * np.sqrt(rng.random(count)) * (1 - 1e-9)
     angle = rng.uniform(0, 2 * math.pi, count)
@@ -138,19 +130,6 @@ def _count_columns(size: list[float], spacing: float) -> Iterator[int]:
     for row in range(rows):
         shift = spacing / 2 * (row % 2)
         yield int((width - shift) / spacing + 1e-9) + 1 if width >= shift else 0
-
-
-def _sites(size: list[float], spacing: float) -> Array:
-    """Sites (n, 2), m, of a triangular lattice in an area about the origin."""
-    columns, step = list(_count_columns(size, spacing)), spacing * math.sqrt(3) / 2
-    first = -(len(columns) - 1) * step / 2
-    rows = [
-        np.column_stack([spacing * (np.arange(n) + row % 2 / 2), np.full(n, first + row * step)])
-        for row, n in enumerate(columns)
-    ]
-    sites = np.vstack(rows)
-    sites[:, 0] -= sites[:, 0].max() / 2
-    return sites
 
 
 def _random(

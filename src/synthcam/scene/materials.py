@@ -1,7 +1,5 @@
 """The materials of matte balls and of plates under room light, as a scene's `surface` names them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 

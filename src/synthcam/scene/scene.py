@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, ValidationError, create_model
+from pydantic import AfterValidator, Field, create_model
 from yaml import YAMLError
 
 from synthcam.library import cache_until_effects_change
@@ -39,7 +39,7 @@ from synthcam.scene.distribution import (
 from synthcam.scene.groups import GroupSettings
 from synthcam.settings import InputError, read_yaml
 from synthcam_shared.arguments import check_arguments
-from synthcam_shared.settings import NotNegative, Positive, Settings, parse_yaml, to_input_error
+from synthcam_shared.settings import NotNegative, Positive, Settings, build_settings, parse_yaml
 
 MAX_GROUPS = 100
 
@@ -301,10 +301,7 @@ def _refuse_long_tables(loaded: dict[str, Any], where: str) -> None:
 
 
 def _validate(plain: dict[str, Any], where: str) -> dict[str, Any]:
-    try:
-        settings = scene_file().model_validate(plain).model_dump(exclude_none=True)
-    except ValidationError as e:
-        raise to_input_error(e, where, scene_file()) from None
+    settings = build_settings(plain, scene_file(), where).model_dump(exclude_none=True)
     if "launches" in settings or "groups" in settings:
         return settings
     for key in (k for k in ManyBodiesSettings.model_fields if k in plain):

@@ -1,7 +1,5 @@
 """Check that a film shows its balls: few frames show a ball that is too fast, or outside the view."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

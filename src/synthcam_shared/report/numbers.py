@@ -1,7 +1,5 @@
 """Numbers as text: so many significant digits, or a value with the error of its last digits."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

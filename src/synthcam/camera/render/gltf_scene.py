@@ -71,7 +71,10 @@ def make_glb(
         for k, ball in enumerate(balls):  # an animated node may not have a matrix
             nodes[f"ball{k}"].pop("matrix", None)
             nodes[f"ball{k}"] |= {"translation": ball.positions[0].tolist(), "rotation": ball.turns[0].tolist()}
-        tree["cameras"] = [_perspective(camera)]
+        (width, height), focal = camera["size"], camera["K"][1][1]
+        aspect, yfov = width / height * focal / camera["K"][0][0], 2 * float(np.arctan(height / 2 / focal))
+        perspective = {"aspectRatio": aspect, "yfov": yfov, "znear": 0.01}
+        tree["cameras"] = [{"type": "perspective", "perspective": perspective}]
         turn = np.array(camera["R"], float).T  # glTF's cameras look along -z with y up, OpenCV's along z with y down
         pose = _at(-turn @ np.array(camera["t"], float), turn @ np.diag([1.0, -1.0, -1.0]))
         nodes["camera"] |= {"camera": 0, "matrix": pose.T.ravel().tolist()}
@@ -98,32 +101,24 @@ def make_glb(
 
 
 def _scene(
-    camera: dict[str, Any],
-    balls: list[BallMotion],
-    lights: dict[str, tuple[Lamp, float]],
-    roughness: float,
-    plate_z: float,
+    camera: dict[str, Any], balls: list[BallMotion], lights: dict[str, tuple[Lamp, float]], rough: float, plate_z: float
 ) -> Any:
-    """Plate, balls, lamps and camera as trimesh's scene."""
+    """Plate, balls, lamps and camera as trimesh's scene. rough: glTF's roughness of the balls."""
     scene = untyped.Scene(base_frame="scene")
     scene.graph.update(frame_from="scene", frame_to="table")
 
-    upright = np.eye(3)
-
-    def add(name: str, mesh: Any, position: ArrayLike, made_of: Any, axes: ArrayLike = upright) -> None:
+    def add(name: str, mesh: Any, position: ArrayLike, made_of: Any, axes: ArrayLike | None = None) -> None:
         if made_of:
             mesh.visual = untyped.visual.TextureVisuals(material=made_of)
-        scene.add_geometry(
-            mesh, node_name=name, geom_name=name, parent_node_name="table", transform=_at(position, axes)
-        )
+        pose = _at(position, np.eye(3) if axes is None else axes)
+        scene.add_geometry(mesh, node_name=name, geom_name=name, parent_node_name="table", transform=pose)
 
     thickness = 1e-3  # of the plate, m
     side = 1.5 * max(camera["size"]) * camera["scale"]
     plate = untyped.creation.box([side, side, thickness])
     plate.unmerge_vertices()  # with shared corners it would be shaded like a dome
     black, steel = (
-        material(name=name, metallicFactor=1.0, roughnessFactor=rough)
-        for name, rough in (("plate", 1.0), ("steel", roughness))
+        material(name=n, metallicFactor=1.0, roughnessFactor=r) for n, r in {"plate": 1.0, "steel": rough}.items()
     )
     add("plate", plate, [0.0, 0.0, plate_z - thickness / 2], black)
     for k, ball in enumerate(balls):
@@ -152,19 +147,6 @@ def _body(ball: BallMotion) -> Any:
         disc = disc.subdivide()
     disc.vertices = Rotation.from_quat(ball.turns[0]).inv().apply(disc.vertices)
     return disc
-
-
-def _perspective(camera: dict[str, Any]) -> dict[str, Any]:
-    """glTF's camera."""
-    (width, height), focal = camera["size"], camera["K"][1][1]
-    return {
-        "type": "perspective",
-        "perspective": {
-            "aspectRatio": width / height * focal / camera["K"][0][0],
-            "yfov": 2 * float(np.arctan(height / 2 / focal)),
-            "znear": 0.01,
-        },
-    }
 
 
 def _shape(lamp: Lamp) -> Any:

@@ -32,19 +32,22 @@ def list_missing_packages() -> list[str]:
     """List Debian's packages whose libraries are needed and missing; EGL's drivers if all libraries are there."""
     if os.environ.get("PYOPENGL_PLATFORM") == "osmesa":
         return [] if osmesa() is not None else ["libosmesa6"]
-    absent: list[str] = []
     packages = {
         "libEGL.so.1": "libegl1",
         "libEGL_mesa.so.0": "libegl-mesa0",
         "libGL.so.1": "libgl1",
         "libOpenGL.so.0": "libopengl0",
     }
-    for library, package in packages.items():
-        try:
-            ctypes.CDLL(library)
-        except OSError:
-            absent.append(package)
+    absent = [package for library, package in packages.items() if load_library(library) is None]
     return absent or (["libgl1-mesa-dri"] if choose_egl_device()[0] is None else [])
+
+
+def load_library(name: str | None, mode: int = ctypes.DEFAULT_MODE) -> ctypes.CDLL | None:
+    """Load a shared library; None if it is missing."""
+    try:
+        return ctypes.CDLL(name, mode=mode) if name else None
+    except OSError:
+        return None
 
 
 def choose_opengl() -> str:
@@ -96,13 +99,8 @@ def choose_egl_device() -> tuple[int | None, str]:
 
 def osmesa() -> ctypes.CDLL | None:
     """Load OSMesa, which draws without a window; None without it. Mesa 25.1 dropped it."""
-    for name in ("libOSMesa.so.8", ctypes.util.find_library("OSMesa")):
-        try:
-            if name:
-                return ctypes.CDLL(name, mode=ctypes.RTLD_GLOBAL)
-        except OSError:
-            continue
-    return None
+    found = load_library("libOSMesa.so.8", ctypes.RTLD_GLOBAL)
+    return found or load_library(ctypes.util.find_library("OSMesa"), ctypes.RTLD_GLOBAL)
 
 
 class OSMesa:

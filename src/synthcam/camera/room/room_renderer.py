@@ -131,6 +131,7 @@ class RoomRenderer(Renderer):
         plates = self._plates_in(light)
         parts = [[plate[box] * 0.0 for box in boxes] for plate in plates]
         exchange = self.shade.exchange(positions[len(positions) // 2])  # it hardly changes during an exposure
+        blur = self.camera.scale * np.sqrt(self.camera.psf_sigma_px**2 + self.camera.defocus_px**2 / 4 + 1 / 12)
         for together in self._group_moments(positions):
             weights = moments.weights[together]
             shown = [np.zeros((1 + len(plates), *plates[0][box].shape), np.float32) for box in boxes]
@@ -146,8 +147,11 @@ class RoomRenderer(Renderer):
                     total += np.float32(weight) * self._lay_tiles(tiles, box)
             middle = np.average(positions[together], axis=0, weights=weights)
             travel = np.ptp(positions[together], axis=0).max(initial=0)
+            soft = np.hypot(blur, travel / np.sqrt(12))  # blur of a shadow's edge, m rms
             for number, box in enumerate(boxes):
-                lit = self._lit(box, middle, np.hypot(self._soft, travel / np.sqrt(12)))
+                bare = self._bare[box][..., None]
+                light_on_plate = self.shade.on_plate(self._points[box].reshape(-1, 3), middle, soft)
+                lit = light_on_plate.reshape(*bare.shape[:2], -1) / bare
                 open_ = np.float32(weights.sum()) - shown[number][0]
                 for c, plate in enumerate(plates):
                     parts[c][number] += plate[box] * (lit[..., c] * open_) + light * shown[number][1 + c]
@@ -158,18 +162,6 @@ class RoomRenderer(Renderer):
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(axis=1, initial=0) / self.camera.scale
         count = max(1, min(len(positions), int(np.ceil(steps.sum() / travel_px))))
         return np.array_split(np.arange(len(positions)), count)
-
-    def _lit(self, box: Box, centres: Array, soft: float) -> Array:
-        """Light (h, w, c) on the plate over that without balls."""
-        bare = self._bare[box][..., None]
-        lit = self.shade.on_plate(self._points[box].reshape(-1, 3), centres, soft)
-        return np.asarray(lit.reshape(*bare.shape[:2], -1) / bare)
-
-    @property
-    def _soft(self) -> float:
-        """Blur of a shadow's edge by optics and pixel, m rms."""
-        camera = self.camera
-        return float(camera.scale * np.sqrt(camera.psf_sigma_px**2 + camera.defocus_px**2 / 4 + 1 / 12))
 
     def _find_boxes(self, positions: Array) -> list[tuple[int, int, int, int]]:
         """Find the boxes (top, bottom, left, right) of the picture that each ball changes during an exposure."""

@@ -5,8 +5,6 @@ lines; turns are the integral of its spin. With its light and materials a plain 
 the film's counts above black, over the sensor's full scale.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path

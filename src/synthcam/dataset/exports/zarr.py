@@ -3,8 +3,6 @@
 Needs the extra `synthcam[zarr]`. Clips of one scene must have the same size and length.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

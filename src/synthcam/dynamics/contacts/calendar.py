@@ -5,8 +5,6 @@ far as it comes near few other balls. When that time comes it looks ahead again.
 balls, and only their contacts are searched again. So the cost of an event hardly grows with the number of balls.
 """
 
-from __future__ import annotations
-
 import heapq
 import math
 from collections.abc import Iterable, Sequence

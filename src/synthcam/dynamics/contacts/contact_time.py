@@ -5,8 +5,6 @@ in time. So the gap h stays above h + h' s - A s^2/2, where A bounds the sum of 
 steps converge like Newton's method.
 """
 
-from __future__ import annotations
-
 import math
 
 from synthcam.dynamics.contacts.walls import Wall, time_to_close

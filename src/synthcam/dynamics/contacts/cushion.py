@@ -6,8 +6,6 @@ velocities are integrated over the impulse P of the cushion. The first part ends
 The second ends when the cushion has returned the share e^2 of the work done on it.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

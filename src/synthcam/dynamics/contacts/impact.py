@@ -1,7 +1,5 @@
 """The kinds of impact, all instantaneous: ball on ball (one pair or many), ball on wall, and ball on plate."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -14,8 +14,6 @@ The line of the centres may turn meanwhile. The weight alone presses a ball on t
 out.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

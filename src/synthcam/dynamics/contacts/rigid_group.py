@@ -9,8 +9,6 @@ u_t/K_t, with a = 1 where the contact sticks. Then P = (1 + r) v_n/K_n. Neither 
 is `collide_pair`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self

@@ -1,7 +1,5 @@
 """Which bodies stick together, and what a hit does to them: it pushes a group, parts it, or joins a body to it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Walls: straight segments and circular rims, and when a ball reaches them."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
