@@ -11,7 +11,7 @@ import textwrap
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -19,9 +19,6 @@ from synthcam_shared.application import make_command_line, progress_bar
 from synthcam_shared.application import run as run_command
 from synthcam_shared.errors import InputError, NoGL
 from synthcam_shared.settings import did_you_mean
-
-if TYPE_CHECKING:
-    from synthcam.effect import Parameter
 
 app = make_command_line(
     "synthcam", "Simulate and render rolling balls that collide, with the ground truth of their motion."
@@ -90,8 +87,12 @@ def generate(
     if withhold_truth and seed is None:
         reason = "which nobody can guess: scene and seed determine the truth"
         raise InputError(f"--withhold-truth: expected --seed too, {reason}")
-    changes = (*(set_ or ()), *_encoding(encode))
-    read = tuple(read_scene(s, changes, model) for s in scenes)
+    changes = list(set_ or ())
+    if encode:
+        from synthcam.dataset.video import parse_encoding  # here alone: FFmpeg's libraries are slow to load
+
+        changes += [f"video.{key}={value}" for key, value in parse_encoding(encode, "--encode").items()]
+    read = tuple(read_scene(s, tuple(changes), model) for s in scenes)
     plan = GenerationPlan(read, clips, seed or 0, not no_video, _compression(compression), _shard(shard))
     if plan.shard and withhold_truth:
         raise InputError("--shard: a shard keeps its truth; give --withhold-truth to `synthcam merge`")
@@ -133,14 +134,6 @@ def _shard(text: str) -> tuple[int, int] | None:
     if slash and which.isdecimal() and of.isdecimal() and 1 <= int(which) <= int(of):
         return int(which), int(of)
     raise InputError(f"--shard {text}: expected I/N with I from 1 to N, as in 1/3")
-
-
-def _encoding(text: str) -> tuple[str, ...]:
-    """Turn --encode into changes of a scene's `video`."""
-    from synthcam.dataset.video import parse_encoding
-
-    how = parse_encoding(text, "--encode") if text else {}
-    return tuple(f"video.{key}={value}" for key, value in how.items())
 
 
 def _compression(name: str) -> str:
@@ -353,7 +346,10 @@ def effects(
         doc = inspect.cleandoc(effect.__doc__ or "")
         if as_json:
             about = {"effect": effect.name(), "law": doc, "bends": list(effect.laws)}
-            print(json.dumps(about | {"parameters": [_as_json(p) for p in effect.parameters()]}))
+            keys = [{"scale" if k == "typical" else k: v for k, v in vars(p).items()} for p in effect.parameters()]
+            for own in keys:  # null: no limit
+                own |= {k: own[k] if math.isfinite(own[k]) else None for k in ("low", "high")}
+            print(json.dumps(about | {"parameters": keys}))
             continue
         print(f"{effect.name()}: {doc.splitlines()[0]}")
         if name is not None:
@@ -372,12 +368,6 @@ def effects(
             print(f"    {output}: the effect shifts the tracks by up to {apart:.3g} um")
     elif name is not None and not as_json:
         print(f"    to draw what it does to the tracks: synthcam effects {name} -o {name}.png")
-
-
-def _as_json(parameter: Parameter) -> dict[str, Any]:
-    """The keys of --json: `scale` for the typical value, null for no limit."""
-    values = {"scale" if k == "typical" else k: v for k, v in vars(parameter).items()}
-    return values | {k: v if math.isfinite(v) else None for k, v in values.items() if k in ("low", "high")}
 
 
 @app.command()

@@ -60,7 +60,8 @@ class SmoothTable:
             raise ValueError(f"x: expected at most {max_points_per_axis} points along an axis, found {max(sides)}")
         if min(sides) < 2 + self.turn:
             raise ValueError(f"x: expected {2 + self.turn} points or more along each axis")
-        if self.turn and self._is_closed and np.abs(np.subtract(self.y[0], self.y[-1])).max() > self._negligible:
+        negligible = RELATIVE_TOLERANCE * float(np.abs(self.y).max())
+        if self.turn and self._is_closed and np.abs(np.subtract(self.y[0], self.y[-1])).max() > negligible:
             raise ValueError("y: expected the same value after a whole turn as at first")
         _ = self._curve  # raises where the points are too uneven
 
@@ -83,10 +84,6 @@ class SmoothTable:
     @property
     def _is_closed(self) -> bool:
         return bool(abs(self.x[-1] - self.x[0] - 2 * math.pi) < 1e-6)
-
-    @property
-    def _negligible(self) -> float:
-        return RELATIVE_TOLERANCE * float(np.abs(self.y).max())
 
     @cached_property
     def _lines(self) -> tuple[_RoundedLines, ...]:

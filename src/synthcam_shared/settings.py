@@ -148,12 +148,8 @@ class _Loader(SafeLoader):
         return text
 
 
-def _number(loader: Any, node: Any) -> float:
-    return float(node.value)
-
-
 _Loader.add_implicit_resolver("!number", re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789"))
-_Loader.add_constructor("!number", _number)
+_Loader.add_constructor("!number", lambda _, node: float(node.value))
 
 
 def did_you_mean(word: str, known: Iterable[str], section: str = "", written: Mapping[str, str] | None = None) -> str:

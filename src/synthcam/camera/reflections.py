@@ -34,8 +34,14 @@ def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
     centres: (M, k, 3). radii: (M, k). All are in m.
     """
     count, order = centres.shape[:2]
-    normals = _first_guess(lamp, eye, centres)
     ends = _join(lamp, centres, eye)
+    legs = np.diff(ends, axis=1)
+    legs /= np.linalg.norm(legs, axis=2, keepdims=True)
+    normals = legs[:, 1:] - legs[:, :-1]  # half-way between the directions to the centres before and after
+    # A chain to and fro between two balls leaves their line towards lamp and eye.
+    normals += 0.1 * (legs[:, -1:] - legs[:, :1])
+    normals += [3e-9, 5e-9, 8e-9]  # a line straight through a centre has no half-way direction
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     moving, last = np.arange(count), np.full(count, np.inf)  # paths, and the size of their last step
     for _ in range(40):
         own, corners, spheres = normals[moving], ends[moving], radii[moving]
@@ -79,17 +85,6 @@ def _join(lamp: Array, points: Array, eye: Array) -> Array:
     ends = np.empty((len(points), points.shape[1] + 2, 3))
     ends[:, 0], ends[:, 1:-1], ends[:, -1] = lamp, points, eye
     return ends
-
-
-def _first_guess(lamp: Array, eye: Array, centres: Array) -> Array:
-    """Normals (M, k, 3) half-way between the directions to the centres before and after."""
-    legs = np.diff(_join(lamp, centres, eye), axis=1)
-    legs /= np.linalg.norm(legs, axis=2, keepdims=True)
-    normals = legs[:, 1:] - legs[:, :-1]
-    # A chain to and fro between two balls leaves their line towards lamp and eye.
-    normals += 0.1 * (legs[:, -1:] - legs[:, :1])
-    normals += [3e-9, 5e-9, 8e-9]  # a line straight through a centre has no half-way direction
-    return np.asarray(normals / np.linalg.norm(normals, axis=2, keepdims=True))
 
 
 def _tangents(normals: Array) -> Array:

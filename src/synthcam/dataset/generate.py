@@ -132,7 +132,10 @@ def generate_dataset(
             return GenerationOutcome(0, (), withheld or output)
         done = made.list_done()
         todo = [k for k in plan.numbers if k not in done]
-        _check_disk(plan, made.folder, len(todo))
+        need, free = plan.estimate_bytes(len(todo)), shutil.disk_usage(made.folder).free
+        if need > free and plan.compression == "none":
+            room = f"{len(todo)} clips take {need / 1e6:,.0f} MB, and {free / 1e6:,.0f} MB are free there"
+            raise InputError(f"{made.folder}: {room}")
         machines: list[dict[str, Any]] = []
         if scheduler:
             from synthcam_shared.dask_cluster import Cluster  # here alone: Dask is an optional dependency
@@ -175,12 +178,6 @@ def _estimate(made: PartialDataset, trial: JobForecast) -> str:
     size = sum(file.stat().st_size for folder in folders for file in folder.glob("*") if file.is_file())
     need, free = size / len(trial.numbers) * clips / 1e6, shutil.disk_usage(made.folder).free / 1e6
     return f"{clips} clips to come: about {duration}, {need:,.1f} MB of {free:,.0f} MB free"
-
-
-def _check_disk(plan: GenerationPlan, folder: Path, clips: int) -> None:
-    need, free = plan.estimate_bytes(clips), shutil.disk_usage(folder).free
-    if need > free and plan.compression == "none":
-        raise InputError(f"{folder}: {clips} clips take {need / 1e6:,.0f} MB, and {free / 1e6:,.0f} MB are free there")
 
 
 def _make_in_worker(

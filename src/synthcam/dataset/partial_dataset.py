@@ -90,8 +90,9 @@ def open_partial(
         check_apart(output, withheld)
     partial = _beside(output)
     truth = _beside(withheld) if withheld else partial
-    for final in filter(None, (output, withheld)):
-        _put_back(final)
+    for final in (each for each in (output, withheld) if each and not each.exists()):
+        for old in _list_replaced(final)[:1]:
+            old.rename(final)  # a run was killed between the two moves of `_replace`
     ended = (partial / SUMS).exists() and not (partial / PLAN).exists()
     if withheld and ended and _check_same(document, withheld, _document_file(withheld)):
         _replace(partial, output)  # a run was killed between its last moves
@@ -170,13 +171,6 @@ def _replace(aside: Path, final: Path) -> None:
     aside.rename(final)
     for old in _list_replaced(final):
         shutil.rmtree(old, ignore_errors=True)
-
-
-def _put_back(final: Path) -> None:
-    """Undo the first of the two moves of `_replace`, between which a run was killed."""
-    if not final.exists():
-        for old in _list_replaced(final)[:1]:
-            old.rename(final)
 
 
 def _list_replaced(final: Path) -> list[Path]:

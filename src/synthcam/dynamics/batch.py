@@ -303,16 +303,13 @@ class _BatchSolver:
                         self.out.segments += IntegratedSegment.of(some[units], motion, self.out.start)
             elif mode == ROLL:
                 self._add_roll(own, states[own], start[own], self.t_c[own], self.t_c[own])
-            else:
-                self._slide_before(own, states[own], start[own])
+            else:  # slides in closed form that end in these states at the contacts
+                slowing = np.full(len(own), self.model.sliding_friction * self.model.gravity)
+                law, back = (self.bodies.radius[own], slowing), (start[own] - self.t_c[own])[:, None]
+                first = kinematics.slide(states[own], *law, back, self.bodies.inertia[own])[:, 0]
+                slides = SlideSegment(own, start[own], self.t_c[own], first, *law, self.bodies.inertia[own])
+                self.out.segments.append(slides)
         return states
-
-    def _slide_before(self, who: Index, states: Array, start: Array) -> None:
-        """Add slides in closed form that end in these states at the contacts."""
-        radius, slowing = self.bodies.radius[who], np.full(len(who), self.model.sliding_friction * self.model.gravity)
-        inertia = self.bodies.inertia[who]
-        first = kinematics.slide(states, radius, slowing, (start - self.t_c[who])[:, None], inertia)[:, 0]
-        self.out.segments.append(SlideSegment(who, start, self.t_c[who], first, radius, slowing, inertia))
 
     def _approach_with_push(self, states: Array) -> Array:
         """Solve the approach of balls that push each other."""
@@ -339,6 +336,7 @@ class _BatchSolver:
         now, out_x, out_y = self.t_c.copy(), np.append(n[:, 0], -n[:, 0]), np.append(n[:, 1], -n[:, 1])
         parting = slowest = states[:, 3] * out_x + states[:, 4] * out_y  # of each ball from the other
         self._set_ending_slips(np.arange(len(now)), states)
+        alone = {FLY: self._fly, SLIDE: self._slide, ROLL: self._roll_on, REST: self._stay}
         for _ in range(max_legs):
             modes = classify_modes(states, self.bodies.radius)
             down = np.flatnonzero((states[:, 5] < 0) & (modes != FLY))
@@ -351,7 +349,10 @@ class _BatchSolver:
             if self.mutual:
                 self._propagate_pairs(np.flatnonzero(live[: len(n)]), states, now, modes)
             else:
-                self._advance(live, modes, states, now)
+                for mode, advance in alone.items():
+                    who = np.flatnonzero(live & (modes == mode))
+                    if len(who):
+                        advance(who, states, now)
             slowest = np.minimum(slowest, states[:, 3] * out_x + states[:, 4] * out_y)
         else:
             raise ValueError(f"the motion does not settle: {max_legs} legs after an impact")
@@ -361,13 +362,6 @@ class _BatchSolver:
         # a leg a push may slow a ball by 5 mm/s more than at its ends
         waver = 5e-3 if self.bent[ROLL] else 0.0
         self.out.recontact_candidates = np.flatnonzero(both[1] < 0.1 * both[0] + waver)
-
-    def _advance(self, live: Flags, modes: Index, states: Array, now: Array) -> None:
-        """Solve the next leg of the balls that are `live`, each alone."""
-        for mode, advance in ((FLY, self._fly), (SLIDE, self._slide), (ROLL, self._roll_on), (REST, self._stay)):
-            who = np.flatnonzero(live & (modes == mode))
-            if len(who):
-                advance(who, states, now)
 
     def _add_kink(self, who: Index, when: Array) -> None:
         if np.any(np.isfinite(self.kinks[-1][who])):

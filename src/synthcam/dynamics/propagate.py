@@ -226,7 +226,9 @@ class PhaseIntegrator:
             slip, _ = self.slip_speed(z, y)
             if self.free:
                 sound &= (self.modes != SLIDE) | self.ends[:, 0] | (y[3] > self.least).all(axis=1)
-            pieces.append((y[-1] if self.paced else self.spans * z, self._select_components(y, slip)))
+            at, slid = self.at, [slip * y[:2], y[2:3]] if self.slides else []
+            parts = np.concatenate([y[at + 2 : at + 4], y[at : at + 2], *slid])
+            pieces.append((y[-1] if self.paced else self.spans * z, parts))
         if self.closes:
             pieces.append(self._finish_evenly(y[..., -1:], slip[:, -1:], self.ends))
         lasts = pieces[-1][0][:, -1] if self.paced else self.spans[:, 0]
@@ -243,10 +245,6 @@ class PhaseIntegrator:
         slow = self.balls.slow
         piece = self._finish_evenly(self.start, self.first, slow[:, None])
         return self._make_step([piece], piece[0][:, -1], slow, np.ones(len(slow), dtype=bool))
-
-    def _select_components(self, y: Array, slip: Any) -> Array:
-        at = self.at
-        return np.concatenate([y[at + 2 : at + 4], y[at : at + 2], *([slip * y[:2], y[2:3]] if self.slides else [])])
 
     def _finish_evenly(self, y: Array, slip: Array, ends: Flags) -> tuple[Array, Array]:
         """End the rest of a slip or of a roll at an even rate, with all other forces constant, from y (c, m, 1).

@@ -258,12 +258,16 @@ class _EventLoop:
         if support is not None:
             return support.leg(state, radius, t)
         if state[5] > 0 or state[2] > self.flying_height[k]:
-            return self._fly(k, state, t)
+            gravity, up, height = self.model.gravity, state[5], max(state[2] - radius, 0.0)
+            lasts = (up + math.sqrt(up * up + 2 * gravity * height)) / gravity
+            flight = FlightLeg(t, t + lasts, t, state, gravity)
+            return self._integrate_leg(k, state, t, lasts) if self.pushes else flight
         if (slip := math.hypot(*slip_velocity(state, radius))) > ZERO_SPEED_M_S:
             return self._slide(k, state, t, slip)
         if (speed := math.hypot(state[3], state[4])) > ZERO_SPEED_M_S:
             return self._roll(k, state, t, speed, max(self.end, t) + LEAD_TIME_S)
-        return self._rest(k, state, t)
+        still = to_rest(state, radius)
+        return RestLeg(t, t if self._excess(k, still) > 0 else math.inf, still)
 
     def _slide(self, k: int, state: State, t: float, slip: float) -> Leg:
         if not self.slides:
@@ -282,21 +286,12 @@ class _EventLoop:
             return RollLeg(t, stop, t, state, self.radius[k], model.rolling_drag, model.rolling_decel)
         return self._integrate_leg(k, state, t, until - t)
 
-    def _fly(self, k: int, state: State, t: float) -> Leg:
-        gravity, up, height = self.model.gravity, state[5], max(state[2] - self.radius[k], 0.0)
-        lasts = (up + math.sqrt(up * up + 2 * gravity * height)) / gravity
-        return self._integrate_leg(k, state, t, lasts) if self.pushes else FlightLeg(t, t + lasts, t, state, gravity)
-
     def _integrate_leg(self, k: int, state: State, t: float, goal: float, floor: Array | None = None) -> Leg:
         """Integrate a leg without closed form, or as much of it as one step covers."""
         row = np.array([state])
         floor = np.full(1, math.inf) if floor is None else floor
         ((_, step),) = propagate(BallStates(self.model, self._body(k), row, floor), np.array([goal]))
         return make_leg(step.motion, 0, int(classify_modes(row, self._body(k).radius)[0]), t)
-
-    def _rest(self, k: int, state: State, t: float) -> Leg:
-        still = to_rest(state, self.radius[k])
-        return RestLeg(t, t if self._excess(k, still) > 0 else math.inf, still)
 
     def _excess(self, k: int, state: State) -> float:
         """By how much 5/7 of the push on a ball at rest exceeds what holds it, m/s^2."""
@@ -457,8 +452,10 @@ class _EventLoop:
         if isinstance(self.joint, TouchingBodies):
             for contact in self.joint.finish(k):
                 pair = contact.i, contact.j
-                for ball in pair:
-                    states[ball] = self._settle_slip(ball, states[ball])
+                for ball in pair:  # one that rolled through the contact still rolls
+                    slip = math.hypot(*slip_velocity(states[ball], self.radius[ball]))
+                    if self.supports[ball] is None and slip < 2 * STICKING_M_S:
+                        states[ball] = _end_slip(states[ball], self.radius[ball], self.inertia[ball])
                 after = np.array([states[ball] for ball in pair])
                 began = self.events[contact.event]
                 along_n, along_t = (part * contact.given / contact.whole for part in contact.impulses)
@@ -471,11 +468,6 @@ class _EventLoop:
                 early, late = (np.array([s[ball]]) for s in (before, states))
                 self.events.append(Event(self.t, "stop", ball, before=early, after=late))
         self._start_legs(states)
-
-    def _settle_slip(self, k: int, state: State) -> State:
-        """Let a ball roll that rolled through a lasting contact."""
-        rolls = self.supports[k] is None and math.hypot(*slip_velocity(state, self.radius[k])) < 2 * STICKING_M_S
-        return _end_slip(state, self.radius[k], self.inertia[k]) if rolls else state
 
 
 def _approach(target: State, striker: State, *, least_approach_m_s: float = 1e-6) -> State:

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from synthcam.effect import Effect, parameter
-from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class AirDrag(Effect):
 
     share: float = parameter("1", typical=1.0, low=0, high=10, default=1.0)
 
-    def push(self, acceleration: Any, velocity: Any, radius: Any, mass: Any) -> Array:
+    def push(self, acceleration: Any, velocity: Any, radius: Any, mass: Any) -> NDArray[np.float64]:
         speed = np.hypot(velocity[..., 0], velocity[..., 1])
         density, viscosity = 1.204, 1.516e-5  # kg/m^3; kinematic, m^2/s; of dry air at 20 C
         reynolds = np.maximum(2 * radius * speed / viscosity, 1e-6)  # a ball at rest has no drag

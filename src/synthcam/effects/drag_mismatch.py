@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from synthcam.effect import Effect, parameter
-from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,6 @@ class DragMismatch(Effect):
     a: float = parameter("1/s", typical=0.01, low=-1, high=10)
     b: float = parameter("1/s", typical=0.01, low=-1, high=10)
 
-    def push(self, acceleration: Any, velocity: Any, of_a: Any) -> Array:
+    def push(self, acceleration: Any, velocity: Any, of_a: Any) -> NDArray[np.float64]:
         rate = self.b + (self.a - self.b) * (of_a + 0 * velocity[..., 0])
         return np.asarray(acceleration - rate[..., None] * velocity)

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from synthcam.effect import Effect, parameter
-from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class MagneticAttraction(Effect):
 
     pull: float = parameter("m/s^2", typical=0.1, low=-0.5, high=0.5)
 
-    def push(self, acceleration: Any, other: Any, mass: Any, ball: Any) -> Array:
+    def push(self, acceleration: Any, other: Any, mass: Any, ball: Any) -> NDArray[np.float64]:
         nearest = 0.8  # diameters: closer centres occur only in paths that a solver tries and rejects
         x, y = other[..., 0], other[..., 1]
         size = ball.diameter**2

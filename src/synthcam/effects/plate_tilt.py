@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from synthcam.effect import Effect, parameter
-from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -20,5 +20,5 @@ class PlateTilt(Effect):
     x: float = parameter("rad", typical=1e-3, low=-0.1, high=0.1)
     y: float = parameter("rad", typical=1e-3, low=-0.1, high=0.1)
 
-    def push(self, acceleration: Any, gravity: float) -> Array:
+    def push(self, acceleration: Any, gravity: float) -> NDArray[np.float64]:
         return np.asarray(acceleration + gravity * np.sin([self.x, self.y]))

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from synthcam.effect import Effect, parameter
-from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class PlateWaviness(Effect):
     wavelength: float = parameter("m", typical=0.02, low=3e-3, high=10, fixed=True, tries=np.geomspace(6e-3, 8e-2, 12))
     angle: float = parameter("rad", typical=0.0, low=-4, high=4, fixed=True, tries=np.pi / 12 * np.arange(12))
 
-    def push(self, acceleration: Any, position: Any, gravity: float) -> Array:
+    def push(self, acceleration: Any, position: Any, gravity: float) -> NDArray[np.float64]:
         x, y, k, _, lean = self._wave(position)
         fall = gravity * k * lean
         return np.asarray(acceleration - np.moveaxis(np.stack([x * fall, y * fall]), 0, -1))

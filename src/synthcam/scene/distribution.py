@@ -1,7 +1,7 @@
 """Distributions in a scene, drawn for each clip: {uniform: [lo, hi]}, {normal: [mean, sd]}, {choice: [...]}."""
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -32,43 +32,38 @@ def parse_distribution(value: Any, key: str, where: str) -> tuple[str, list[Any]
     return kind, args
 
 
-def replace_by_extremes(value: Any, which: str, key: str, where: str) -> Any:
-    """Replace every distribution in settings by its lowest ("low") or highest ("high") value."""
-    found = parse_distribution(value, key, where)
-    if found:
-        kind, args = found
-        sign = -1 if which == "low" else 1
-        if kind == "normal":
-            return args[0] + sign * NORMAL_CUT_SIGMA * args[1]
-        return args[0] if which == "low" else args[-1]
+def replace_distributions(value: Any, by: Callable[[str, str, list[Any]], Any], where: str = "", key: str = "") -> Any:
+    """Replace every distribution in settings. by: takes its dotted key, its kind and its numbers."""
+    if found := parse_distribution(value, key, where):
+        return by(key, *found)
     if isinstance(value, dict):
-        return {k: replace_by_extremes(v, which, f"{key}.{k}" if key else str(k), where) for k, v in value.items()}
+        return {k: replace_distributions(v, by, where, f"{key}.{k}" if key else str(k)) for k, v in value.items()}
     if isinstance(value, list):
-        return [replace_by_extremes(v, which, f"{key}.{k}", where) for k, v in enumerate(value)]
+        return [replace_distributions(v, by, where, f"{key}.{k}") for k, v in enumerate(value)]
     return value
 
 
-def find_distributions(value: Any, key: str = "") -> Iterator[tuple[str, str, list[Any]]]:
+def replace_by_extremes(value: Any, which: str, where: str) -> Any:
+    """Replace every distribution in settings by its lowest ("low") or highest ("high") value."""
+
+    def pick(_: str, kind: str, args: list[Any]) -> Any:
+        if kind == "normal":
+            return args[0] + (-1 if which == "low" else 1) * NORMAL_CUT_SIGMA * args[1]
+        return args[0] if which == "low" else args[-1]
+
+    return replace_distributions(value, pick, where)
+
+
+def find_distributions(value: Any) -> list[tuple[str, str, list[Any]]]:
     """Find every distribution in checked settings: its dotted key, its kind and its numbers."""
-    found = parse_distribution(value, key, "")
-    if found:
-        yield key, *found
-    elif isinstance(value, dict | list):
-        for k, v in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from find_distributions(v, f"{key}.{k}" if key else str(k))
+    found = list[tuple[str, str, list[Any]]]()
+    replace_distributions(value, lambda *distribution: found.append(distribution))
+    return found
 
 
-def find_choices(value: Any, key: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], list[Any]]]:
-    """Find every choice in the settings: its key and its options."""
-    if isinstance(value, dict):
-        if set(value) == {"choice"}:
-            yield key, value["choice"]
-        else:
-            for k, v in value.items():
-                yield from find_choices(v, (*key, k))
-    elif isinstance(value, list):
-        for number, v in enumerate(value):
-            yield from find_choices(v, (*key, str(number)))
+def find_choices(value: Any) -> list[tuple[tuple[str, ...], list[Any]]]:
+    """Find every choice in checked settings: its key and its options."""
+    return [(tuple(key.split(".")), args) for key, kind, args in find_distributions(value) if kind == "choice"]
 
 
 def pick_representatives(options: list[Any], key: str, where: str, most: int = 1000) -> list[Any]:
@@ -97,11 +92,10 @@ def replace_at(plain: Any, key: tuple[str, ...], value: Any) -> Any:
     return plain | {key[0]: replace_at(plain[key[0]], key[1:], value)}
 
 
-def draw_settings(value: Any, number: int, seed: int, key: str = "") -> Any:
+def draw_settings(value: Any, number: int, seed: int) -> Any:
     """Draw every distribution in settings, each from its own random stream: (seed, clip number, key)."""
-    found = parse_distribution(value, key, "")
-    if found:
-        kind, args = found
+
+    def draw(key: str, kind: str, args: list[Any]) -> Any:
         stream = np.random.SeedSequence(seed, spawn_key=(number, zlib.crc32(key.encode())))
         rng = np.random.Generator(np.random.PCG64(stream))
         if kind == "uniform":
@@ -109,8 +103,5 @@ def draw_settings(value: Any, number: int, seed: int, key: str = "") -> Any:
         if kind == "normal":
             return float(args[0] + args[1] * np.clip(rng.standard_normal(), -NORMAL_CUT_SIGMA, NORMAL_CUT_SIGMA))
         return args[int(rng.integers(len(args)))]
-    if isinstance(value, dict):
-        return {k: draw_settings(v, number, seed, f"{key}.{k}" if key else str(k)) for k, v in value.items()}
-    if isinstance(value, list):
-        return [draw_settings(v, number, seed, f"{key}.{k}") for k, v in enumerate(value)]
-    return value
+
+    return replace_distributions(value, draw)

@@ -23,8 +23,6 @@ def find_boxes(camera: PinholeCamera, centres: Array, radii: Array, heights: Arr
     size of the ball. A box out of view has no area. centres: (N, 3), m. radii: (N,), m. heights: of discs
     (N,), m, and 0 of balls; None of balls alone.
     """
-    if heights is not None and heights.any():
-        return _find_boxes_with_discs(camera, centres, radii, heights)
     towards = camera.centre - centres
     distance = np.linalg.norm(towards, axis=1)
     share = radii / distance  # the rays touch the sphere in a circle, which lies nearer to the camera than the centre
@@ -32,16 +30,13 @@ def find_boxes(camera: PinholeCamera, centres: Array, radii: Array, heights: Arr
     side /= np.linalg.norm(side, axis=1)[:, None]
     across = np.cross(side, towards / distance[:, None])
     middle, radius = centres + towards * share[:, None] ** 2, radii * np.sqrt(1 - share**2)
-    return _bound_circles(camera, middle, radius, side, across)
-
-
-def _find_boxes_with_discs(camera: PinholeCamera, centres: Array, radii: Array, heights: Array) -> Array:
-    """Find the boxes (N, 4) of balls and discs; a disc's is that of its two rims."""
-    boxes, flat = find_boxes(camera, centres, radii), heights > 0
-    x, y = np.broadcast_to(np.eye(3)[:2, None], (2, int(flat.sum()), 3))
-    lift = heights[flat, None] / 2 * np.array([0, 0, 1.0])
-    rims = [_bound_circles(camera, centres[flat] + sign * lift, radii[flat], x, y) for sign in (-1, 1)]
-    boxes[flat] = np.concatenate([np.minimum(*rims)[:, :2], np.maximum(*rims)[:, 2:]], axis=1)
+    boxes = _bound_circles(camera, middle, radius, side, across)
+    if heights is not None and heights.any():  # the box of a disc is that of its two rims
+        flat = heights > 0
+        x, y = np.broadcast_to(np.eye(3)[:2, None], (2, int(flat.sum()), 3))
+        lift = heights[flat, None] / 2 * np.array([0, 0, 1.0])
+        rims = [_bound_circles(camera, centres[flat] + sign * lift, radii[flat], x, y) for sign in (-1, 1)]
+        boxes[flat] = np.concatenate([np.minimum(*rims)[:, :2], np.maximum(*rims)[:, 2:]], axis=1)
     return boxes
 
 

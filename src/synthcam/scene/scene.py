@@ -277,9 +277,9 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
     for text in overrides:
         _apply_override(settings, text)
     refuse_search_only_laws(settings.get("free_laws"), where)
-    for end in ("low", "high"):
-        build_clip(0, _validate(replace_by_extremes(settings, end, "", where), where), where=where)
-    low = replace_by_extremes(settings, "low", "", where)
+    low = replace_by_extremes(settings, "low", where)
+    for plain in (low, replace_by_extremes(settings, "high", where)):
+        build_clip(0, _validate(plain, where), where=where)
     for key, options in find_choices(settings):
         for option in pick_representatives(options, ".".join(key), where):
             _validate(replace_at(low, key, option), where)

@@ -26,8 +26,8 @@ def test_each_has_its_law():
 
 
 def test_a_normal_is_cut():
-    assert replace_by_extremes({"x": {"normal": [1, 2]}}, "low", "", "") == {"x": -7}
-    assert replace_by_extremes({"x": {"normal": [1, 2]}}, "high", "", "") == {"x": 9}
+    assert replace_by_extremes({"x": {"normal": [1, 2]}}, "low", "") == {"x": -7}
+    assert replace_by_extremes({"x": {"normal": [1, 2]}}, "high", "") == {"x": 9}
     assert max(np.abs(values("normal", [0, 1], 5000))) <= 4
 
 

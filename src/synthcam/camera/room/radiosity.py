@@ -137,7 +137,14 @@ def _divide_ball_and_plate() -> ExchangeCells:
     middle = middle / (1 - middle)
     spots = np.pad((middle[:, None, None] * ring).reshape(-1, 2), ((0, 0), (0, 1)))
     areas = np.repeat(np.pi * np.diff(edges**2) / sectors, sectors)
-    to_plate, to_ball = _exchange(normals, spots, areas)
+    # Form factors between the middles of cells, scaled so that each sum is that of the closed form.
+    way = spots[None] - (normals + UP)[:, None]
+    square = dot(way, way)
+    kernel = np.maximum(dot(normals[:, None], way), 0) * (normals[:, 2] + 1)[:, None] / (np.pi * square * square)
+    to_plate, to_ball = kernel * areas, kernel.T * (4 * np.pi / len(normals))
+    to_plate *= ((1 - normals[:, 2]) / 2 / np.maximum(to_plate.sum(1), 1e-30))[:, None]
+    seen = compute_form_factor(np.broadcast_to(UP, spots.shape), UP - spots, 1.0)
+    to_ball *= (seen / np.maximum(to_ball.sum(1), 1e-30))[:, None]
     return ExchangeCells(
         normals=normals,
         spots=spots,
@@ -147,25 +154,6 @@ def _divide_ball_and_plate() -> ExchangeCells:
         of_plate=(rings_of_plate, sectors),
         beyond=max(1, round(rings_of_plate / plate_radius)),
     )
-
-
-def _exchange(normals: Array, spots: Array, areas: Array) -> tuple[Array, Array]:
-    """Form factors (belts, spots) from the ball's cells to the plate's, and (spots, belts) the reverse.
-
-    They are taken between the middles of cells, and scaled so that each sum is that of the closed form.
-    """
-    way = spots[None] - (normals + UP)[:, None]
-    square = dot(way, way)
-    leaving, arriving = dot(normals[:, None], way), (normals[:, 2] + 1)[:, None]
-    kernel = np.maximum(leaving, 0) * arriving / (np.pi * square * square)
-    to_plate = kernel * areas
-    whole = (1 - normals[:, 2]) / 2
-    to_plate *= (whole / np.maximum(to_plate.sum(1), 1e-30))[:, None]
-    to_ball = kernel.T * (4 * np.pi / len(normals))
-    upright = np.broadcast_to(UP, spots.shape)
-    seen = compute_form_factor(upright, UP - spots, 1.0)
-    to_ball *= (seen / np.maximum(to_ball.sum(1), 1e-30))[:, None]
-    return to_plate, to_ball
 
 
 ExchangeTable = tuple[Array, ReflectionTable]  # axes (3, 3), and light over angle and azimuth
