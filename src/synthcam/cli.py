@@ -1,7 +1,5 @@
 """The command `synthcam`: generate, stream, merge, verify, preview, serve, export, schema, effects, doctor."""
 
-from __future__ import annotations
-
 import importlib.util
 import inspect
 import json
@@ -25,8 +23,7 @@ app = make_command_line(
 )
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 Withhold = Annotated[
-    Path | None,
-    typer.Option(metavar="TRUTH", help="Another folder for the truth; the dataset is then a challenge."),
+    Path | None, typer.Option(metavar="TRUTH", help="Another folder for the truth; the dataset is then a challenge.")
 ]
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the scene.")]
 
@@ -280,10 +277,7 @@ def serve() -> None:
 
 
 @app.command()
-def verify(
-    dataset: Annotated[Path, typer.Argument(metavar="DATASET")],
-    as_json: Json = False,
-) -> None:
+def verify(dataset: Annotated[Path, typer.Argument(metavar="DATASET")], as_json: Json = False) -> None:
     """Compare every file of DATASET with its checksum. Exit status 1 if one is changed, missing or new.
 
     Example: synthcam verify out/benchmark

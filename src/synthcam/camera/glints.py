@@ -25,15 +25,6 @@ class GlintImages:
     order: Index  # number of bounces (G,)
 
 
-@dataclass(frozen=True)
-class GlintSettings:
-    """Which images of a lamp are wanted, and how finely the lamp is cut."""
-
-    cell: float = np.inf  # m, half-width of the cells into which a wider lamp is cut, each with its own image
-    faintest: float = reflections.MIN_RELATIVE_FLUX  # flux over that of the primary, below which an image is left out
-    bounces: range = range(1, 99)  # numbers of reflections of the images
-
-
 def find_glints(
     camera: PinholeCamera,
     lamp: Lamp,
@@ -41,7 +32,9 @@ def find_glints(
     radii: Array,
     light: Array | Flags,
     surface: Surface = STEEL_ON_BLACK,
-    settings: GlintSettings = GlintSettings(),
+    cell: float = np.inf,
+    faintest: float = reflections.MIN_RELATIVE_FLUX,
+    bounces: range = range(1, 99),
 ) -> GlintImages:
     """Find the images of a lamp, without the further ones behind it, in balls.
 
@@ -49,10 +42,11 @@ def find_glints(
     are therefore exact to first order in its size. The path of its middle decides whether it is hidden.
 
     centres: (T, N, 3), m, at each moment. radii: (N,), m. light: (T, N), brightness of the lamp relative to its mean;
-    0 for balls whose images are not wanted.
+    0 for balls whose images are not wanted. cell: m, half-width of the cells into which a wider lamp is cut, each with
+    its own image. faintest: flux over that of the primary, below which an image is left out. bounces: numbers of
+    reflections of the images.
     """
-    eye, cells, axes, bounces = camera.centre, lamp.cells(settings.cell), lamp.axes, settings.bounces
-    chains = settings.faintest, bounces[-1]
+    eye, cells, axes, chains = camera.centre, lamp.cells(cell), lamp.axes, (faintest, bounces[-1])
     widest = radii.max() * reflections.find_reach_of_reflections(surface.head_on, *chains)
     reach = reflections.find_blocking_distance(cells.positions, eye, centres, radii, widest)
     near = reflections.find_neighbours(centres, reach)

@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import Any, Literal, overload
 
 import cv2
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
+from synthcam.dataset.recorded_dataset import RecordedClip
 from synthcam.scene import ground_truth
 from synthcam.scene.clip import Clip
 from synthcam.scene.outlines import find_boxes, label_pixels
@@ -21,11 +23,6 @@ from synthcam.scene.scene import Scene, rebuild_clip
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.errors import InputError
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from synthcam.dataset.recorded_dataset import RecordedClip
 
 MAX_FAILURES_IN_A_ROW = 10  # of clips that cannot be made; then the scene is at fault
 

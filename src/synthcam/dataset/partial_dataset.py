@@ -13,13 +13,7 @@ from typing import Any
 from synthcam.dataset.files import SUMS
 from synthcam.dataset.recorded_dataset import list_clip_folders
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import (
-    RESUMES,
-    as_input_error,
-    move_into_place,
-    name_temporary,
-    resume_folder,
-)
+from synthcam_shared.outputs import RESUMES, as_input_error, move_into_place, name_temporary, resume_folder
 
 PLAN = "plan.json"
 

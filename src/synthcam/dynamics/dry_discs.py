@@ -13,7 +13,7 @@ w) = r d. There the direction d is smooth to the end, where r falls to nothing i
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -121,8 +121,8 @@ class DryBody:
         ends = done.sol(GRID)[4]  # type: ignore[misc]
         rates = np.maximum(np.gradient(ends, GRID), 1e-300)
 
-        def follow(times: Array) -> Array:
-            """Return x, y, angle, vx, vy and spin of the whole, (6, m)."""
+        def place(disc: DryDisc, times: Array) -> Array:
+            """Return the states (m, 9) of a disc."""
             elapsed = np.clip((times - t) * self.slowing / first, 0.0, ends[-1])
             s = np.interp(elapsed, ends, GRID)
             for _ in range(5):  # each makes the error a thousand times smaller
@@ -130,29 +130,19 @@ class DryBody:
             *direction, angle, _, along, across = done.sol(s)  # type: ignore[misc]
             r, path = first * np.exp(-s), first**2 / self.slowing
             vx, vy, turning = (r * d for d in direction)
-            return np.array([x + path * along, y + path * across, angle, vx, vy, turning / gyration])
+            spins, cos, sin = turning / gyration, np.cos(angle), np.sin(angle)
+            dx, dy = cos * disc.x - sin * disc.y, sin * disc.x + cos * disc.y
+            at_x, at_y = x + path * along + dx, y + path * across + dy
+            out = np.zeros((len(times), 9))
+            out[:, [0, 1, 3, 4, 8]] = np.stack([at_x, at_y, vx - spins * dy, vy + spins * dx, spins], axis=1)
+            out[:, 2] = disc.z
+            return out
 
         reach = sum(d.mass * (math.hypot(d.x, d.y) + d.radius) for d in self.discs) / self.mass
         whirl = self.slowing * reach / gyration**2 + (first / gyration) ** 2
         lasts = float(ends[-1]) * first / self.slowing
-        return [
-            NumericLeg(
-                t,
-                t + lasts,
-                lambda times, disc=disc: _place(disc, follow(times)),  # type: ignore[misc]
-                self.slowing + whirl * math.hypot(disc.x, disc.y),
-                motion="glide",
-            )
-            for disc in self.discs
-        ]
-
-
-def _place(disc: DryDisc, whole: Array) -> Array:
-    """Return the states (m, 9) of a disc from those of the whole."""
-    x, y, angle, vx, vy, spin = whole
-    c, s = np.cos(angle), np.sin(angle)
-    dx, dy = c * disc.x - s * disc.y, s * disc.x + c * disc.y
-    out = np.zeros((len(x), 9))
-    out[:, [0, 1, 3, 4, 8]] = np.stack([x + dx, y + dy, vx - spin * dy, vy + spin * dx, spin], axis=1)
-    out[:, 2] = disc.z
-    return out
+        legs = list[Leg]()
+        for disc in self.discs:
+            steepest = self.slowing + whirl * math.hypot(disc.x, disc.y)
+            legs.append(NumericLeg(t, t + lasts, partial(place, disc), steepest, motion="glide"))
+        return legs

@@ -122,10 +122,7 @@ class FlightSegment(Segment):
 
     state: Array
     gravity: float
-
-    @property
-    def aloft(self) -> bool:
-        return True
+    aloft = True
 
     def states(self, times: Array) -> Array:
         return fly(self.state, self.gravity, times - self.begins[:, None])
@@ -166,10 +163,7 @@ class TrajectorySegment(Segment):
     """One ball whose whole motion the event loop of `solve` has found."""
 
     motion: Trajectory
-
-    @property
-    def aloft(self) -> bool:
-        return True
+    aloft = True
 
     def states(self, times: Array) -> Array:
         return self.motion.at(times[0])

@@ -96,13 +96,7 @@ class _EventLoop:
     """One run of the event loop; states are nine floats. Balls that push each other are solved together."""
 
     def __init__(
-        self,
-        model: Model,
-        launch: Launch,
-        start: float,
-        end: float,
-        finish_slides: bool,
-        table: Table,
+        self, model: Model, launch: Launch, start: float, end: float, finish_slides: bool, table: Table
     ) -> None:
         self.model, self.bodies, self.end, self.finish_slides = model, launch.bodies, end, finish_slides
         self.radius, self.inertia = launch.bodies.radius.tolist(), launch.bodies.inertia.tolist()

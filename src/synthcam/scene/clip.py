@@ -1,22 +1,23 @@
 """A clip: one experiment with all its numbers drawn. It can be solved and filmed, and has the truth."""
 
-from __future__ import annotations
-
 import pickle
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.sensor import Counts, Sensor, SensorChip
 from synthcam.camera.surface import Surface
 from synthcam.dynamics.launch import SPIN_COLUMNS, Launch
+from synthcam.dynamics.orientation import OrientationHistory
 from synthcam.dynamics.solve import PLATE
 from synthcam.dynamics.tabletop import Table
 from synthcam.dynamics.trajectory import Trajectory
@@ -30,11 +31,6 @@ from synthcam.scene.materials import build_finish, build_varnish, list_screen_co
 from synthcam.scene.motion import Motion
 from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from synthcam.dynamics.orientation import OrientationHistory
 
 CONTACT_UPSTREAM_S = 0.015 / 0.6  # at 0.6 m/s, contact is 15 mm before the centre: the slide ends in view
 
@@ -237,10 +233,6 @@ class Clip:
         """
         if self.finish is None or not self.finish.shows_rotation:
             return None
-        from scipy.spatial.transform import Rotation  # here alone: slow to load, and few balls have a pattern
-
-        from synthcam.dynamics.orientation import OrientationHistory
-
         stream = np.random.SeedSequence(self.seed, spawn_key=(self.number, zlib.crc32(b"turning")))
         rng = np.random.default_rng(stream)
         first = Rotation.random(len(self.launch.bodies.radius), rng=rng).as_quat()

@@ -1,10 +1,8 @@
 """The ground truth of a clip, as docs/format.md defines it: scalars of the collision, tracks, events."""
 
-from __future__ import annotations
-
 import itertools
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,13 +12,11 @@ from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
 from synthcam.dynamics.contacts.impact import combine_inertia_factors
 from synthcam.dynamics.kinematics import contact_velocity, rolling_velocity
 from synthcam.dynamics.launch import Launch
+from synthcam.dynamics.orientation import OrientationHistory
 from synthcam.dynamics.trajectory import Event, Trajectory
 from synthcam.model import Bodies, Model
 from synthcam.scene.film_time import FilmedMotion
 from synthcam_shared.arrays import Array
-
-if TYPE_CHECKING:
-    from synthcam.dynamics.orientation import OrientationHistory
 
 STATE_COLUMNS = "x y z vx vy vz wx wy wz".split()
 COLLISION_COLUMNS = (

@@ -106,9 +106,7 @@ def build_finish(
     albedo, tint = of_plate[plate]
     return SurfaceFinish(
         balls=tuple(_build_ball_finish(keys, matte, colour) for keys in _list_ball_settings(surface, labels, kinds)),
-        plate=_channel_reflectance(
-            surface.get("plate_albedo", albedo), _parse_colour(surface.get("plate_colour"), tint), colour
-        ),
+        plate=_reflect(surface.get("plate_albedo", albedo), surface.get("plate_colour", tint), colour),
         texture=plate if plate in ("cloth", "wood", "paper") else "plain",
         contrast=surface.get("plate_contrast", 1.0),
         ambient=drawn["lamp"].get("ambient", 0.35),
@@ -163,21 +161,12 @@ def build_varnish(surface: Surface, drawn: dict[str, Any]) -> Surface | None:
 
 def _build_ball_finish(surface: dict[str, Any], matte: bool, colour: bool) -> BallFinish:
     albedo = surface.get("albedo", 0.85) if matte else 0.0
-    first = _parse_colour(surface.get("colour"), REFLECTANCE_OF_COLOUR["white"])
-    second = _parse_colour(surface.get("second_colour"), REFLECTANCE_OF_COLOUR["red"])
     pattern: Pattern = surface.get("pattern", "plain") if matte else "plain"
-    return BallFinish(
-        _channel_reflectance(albedo, first, colour), _channel_reflectance(albedo, second, colour), pattern
-    )
+    first, second = surface.get("colour", "white"), surface.get("second_colour", "red")
+    return BallFinish(_reflect(albedo, first, colour), _reflect(albedo, second, colour), pattern)
 
 
-def _parse_colour(given: Any, usual: tuple[float, ...]) -> tuple[float, ...]:
-    if given is None:
-        return usual
-    return REFLECTANCE_OF_COLOUR[given] if isinstance(given, str) else tuple(given)
-
-
-def _channel_reflectance(albedo: float, rgb: tuple[float, ...], colour: bool) -> Colour:
-    """Reflectance in each channel of a camera: three, or one of a grey camera."""
-    whole = albedo * np.array(rgb)
+def _reflect(albedo: float, given: str | Sequence[float], colour: bool) -> Colour:
+    """Reflectance in each channel of a camera, three or one of a grey camera. given: a name, or red, green and blue."""
+    whole = albedo * np.array(REFLECTANCE_OF_COLOUR[given] if isinstance(given, str) else given)
     return tuple(whole.tolist()) if colour else (float(whole @ GREY_WEIGHTS),)

@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from synthcam.dynamics.contacts.walls import Wall
+from synthcam.dynamics.orientation import OrientationHistory
 from synthcam.dynamics.trajectory import Trajectory
 from synthcam.scene import ground_truth
 from synthcam.scene.materials import ScreenColours
@@ -21,8 +22,6 @@ from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from synthcam.dynamics.orientation import OrientationHistory
 
 
 @dataclass(frozen=True, repr=False)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.dynamics.contacts.walls import Rim, StraightWall, Wall
+from synthcam.dynamics.orientation import OrientationHistory
 from synthcam.dynamics.trajectory import Trajectory
 from synthcam.scene.materials import ScreenColours
 from synthcam_shared.arrays import Array
@@ -17,8 +18,6 @@ from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from synthcam.dynamics.orientation import OrientationHistory
 
 TWO_BALLS = ("#2166ac", "#b2182b")
 Colours = Sequence[ScreenColours | None]

@@ -92,15 +92,10 @@ def write_page(
     Sections without blocks are left out. The foot names `command`, which made the page. The summary
     becomes paragraphs under the title, the warnings a highlighted list.
     """
-    values = {
-        "title": title,
-        "summary": summary,
-        "warnings": warnings,
-        "sections": [section for section in sections if section.blocks],
-        "made": f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by synthcam {version('synthcam')}: ",
-        "command": command,
-    }
-    write_atomically(path, render(Path(__file__).with_name("page.html"), **values))
+    made = f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by synthcam {version('synthcam')}: "
+    texts = {"title": title, "summary": summary, "warnings": warnings, "made": made, "command": command}
+    filled = [section for section in sections if section.blocks]
+    write_atomically(path, render(Path(__file__).with_name("page.html"), sections=filled, **texts))
     return path
 
 

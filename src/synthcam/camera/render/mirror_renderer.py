@@ -23,7 +23,7 @@ from synthcam.camera.exposure import (
     outline_half_width,
     place_sub_exposures,
 )
-from synthcam.camera.glints import GlintImages, GlintSettings, find_glints, join_glints, narrow_cell
+from synthcam.camera.glints import GlintImages, find_glints, join_glints, narrow_cell
 from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.plate import (
     BLACK_PLATE_RADIANCE,
@@ -100,7 +100,7 @@ class MirrorRenderer(Renderer):
 
     def _find_resting_glint(self, lamp: Lamp, cell: float) -> GlintImages:
         rest, one = np.array([[[0, 0, self.radii[0]]]]), np.ones((1, 1), bool)
-        return find_glints(self.camera, lamp, rest, self.radii[:1], one, self.surface, GlintSettings(cell))
+        return find_glints(self.camera, lamp, rest, self.radii[:1], one, self.surface, cell)
 
     def _measure_unit(self) -> float:
         """The factor that makes the peak of the glint of a ball at rest 1."""
@@ -223,9 +223,8 @@ class MirrorRenderer(Renderer):
         spans, cuts = np.asarray(intervals, float).reshape(-1, 2), np.sort(np.asarray(breaks, float))
         if self.camera.line_time:
             for span in spans:
-                yield self._roll(centres, span, cuts, lambda spans: [(p,) for p in self._expose(centres, spans, cuts)])[
-                    0
-                ]
+                (picture,) = self._roll(centres, span, cuts, lambda of: [(p,) for p in self._expose(centres, of, cuts)])
+                yield picture
         else:
             many = min(EXPOSURES_PER_BATCH, max(1, BALLS_PER_BATCH // len(self.radii)))
             for first in range(0, len(spans), many):
@@ -284,8 +283,8 @@ class MirrorRenderer(Renderer):
         found = []
         for lamp, cell in zip(self.lamp.all, self._cells, strict=True):
             light = wanted * lamp.light(moments.times)[:, None]
-            wanted_images = GlintSettings(cell, self.faintest, bounces)
-            found.append(find_glints(self.camera, lamp, positions, self.radii, light, self.surface, wanted_images))
+            wanted_images = self.surface, cell, self.faintest, bounces
+            found.append(find_glints(self.camera, lamp, positions, self.radii, light, *wanted_images))
         return join_glints(found)
 
     def _place_moments(

@@ -145,15 +145,9 @@ def _divide_ball_and_plate() -> ExchangeCells:
     to_plate *= ((1 - normals[:, 2]) / 2 / np.maximum(to_plate.sum(1), 1e-30))[:, None]
     seen = compute_form_factor(np.broadcast_to(UP, spots.shape), UP - spots, 1.0)
     to_ball *= (seen / np.maximum(to_ball.sum(1), 1e-30))[:, None]
-    return ExchangeCells(
-        normals=normals,
-        spots=spots,
-        to_plate=to_plate,
-        to_ball=to_ball,
-        of_ball=(belts_of_ball, sectors),
-        of_plate=(rings_of_plate, sectors),
-        beyond=max(1, round(rings_of_plate / plate_radius)),
-    )
+    of_ball, of_plate = (belts_of_ball, sectors), (rings_of_plate, sectors)
+    beyond = max(1, round(rings_of_plate / plate_radius))
+    return ExchangeCells(normals, spots, to_plate, to_ball, of_ball, of_plate, beyond)
 
 
 ExchangeTable = tuple[Array, ReflectionTable]  # axes (3, 3), and light over angle and azimuth

@@ -31,9 +31,5 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
             boxes = np.concatenate([(low + high) / 2, high - low], axis=1) / size
             lines = ("0 " + " ".join(f"{value:.6f}" for value in box) + "\n" for box in boxes)
             (folder / "labels" / part / f"{name}.txt").write_text("".join(lines), encoding="ascii")
-    about = {
-        "train": "images/train",
-        "val": "images/val" if "val" in parts else "images/train",
-        "names": {0: "ball"},
-    }
+    about = {"train": "images/train", "val": "images/val" if "val" in parts else "images/train", "names": {0: "ball"}}
     (folder / "data.yaml").write_text(yaml.safe_dump(about, sort_keys=False), encoding="ascii")

@@ -124,11 +124,7 @@ def collide_pair(
 
 
 def hit_wall(
-    model: Model,
-    wall: Wall,
-    ball: State,
-    body: tuple[float, float, float],
-    change: ImpactChange | None = None,
+    model: Model, wall: Wall, ball: State, body: tuple[float, float, float], change: ImpactChange | None = None
 ) -> WallImpact:
     """Let a ball hit a wall that it touches.
 
@@ -173,12 +169,7 @@ def combine_inertia_factors(k1: Real, m1: Real, k2: Real, m2: Real) -> Real:
 
 
 def find_contact_coefficients(
-    model: Model,
-    v_n: Real,
-    u: tuple[Real, ...],
-    approach: tuple[Real, Real],
-    normal: tuple[Real, Real],
-    inertia: Real,
+    model: Model, v_n: Real, u: tuple[Real, ...], approach: tuple[Real, Real], normal: tuple[Real, Real], inertia: Real
 ) -> tuple[Any, Any]:
     """Return restitution and spin transfer of these impacts, with the effects on them, within their limits."""
     r, c = model.restitution, model.spin_transfer

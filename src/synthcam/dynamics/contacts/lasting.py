@@ -17,6 +17,7 @@ out.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -100,27 +101,22 @@ class TouchingGroup:
     contacts: tuple[SpringContact, ...]
     t: float
     t1: float
-    solution: Any  # of scipy: maps times since t (n,) to (9 m + contacts, n)
+    solution: Any  # of scipy: maps times since t (n,) to (9 m + contacts, n), with the normal impulses so far, N s
     ended: tuple[int, ...]
-
-    def at(self, t: Array) -> Array:
-        """Return states (m, n, 9) and the normal impulses so far, as m + 1, at times (n,)."""
-        return np.asarray(self.solution(np.asarray(t) - self.t))
 
     def impulses(self, t: float) -> list[float]:
         """Return the normal impulse of each contact so far, N s."""
-        return self.at(np.array([t]))[9 * len(self.members) :, 0].tolist()  # type: ignore[no-any-return]
+        given = self.solution(np.array([t]) - self.t)[9 * len(self.members) :, 0]
+        return given.tolist()  # type: ignore[no-any-return]
 
     def legs(self, on_plate: Sequence[bool]) -> dict[int, Leg]:
-        return {
-            k: NumericLeg.of(
-                self.t,
-                self.t1,
-                "slide" if plate else "glide",
-                lambda t, row=row: self.at(t)[9 * row : 9 * row + 9].T,  # type: ignore[misc]
-            )
-            for row, (k, plate) in enumerate(zip(self.members, on_plate, strict=True))
-        }
+        def states(row: int, t: Array) -> Array:
+            return np.asarray(self.solution(t - self.t)[9 * row : 9 * row + 9].T)
+
+        legs = dict[int, Leg]()
+        for row, (k, plate) in enumerate(zip(self.members, on_plate, strict=True)):
+            legs[k] = NumericLeg.of(self.t, self.t1, "slide" if plate else "glide", partial(states, row))
+        return legs
 
 
 class TouchingBodies:
@@ -251,17 +247,9 @@ def follow_contacts(
     from scipy.integrate import solve_ivp  # here alone: slow to load
 
     first = np.concatenate([np.array([states[k] for k in members]).ravel(), [c.given for c in contacts]])
-    done = solve_ivp(
-        law,
-        (0.0, MAX_DURATIONS * max(c.lasts for c in contacts)),
-        first,
-        method="LSODA",
-        rtol=1e-9,
-        atol=1e-14,
-        max_step=min(c.lasts for c in contacts) / 10,
-        events=[ends(number) for number in range(len(contacts))],
-        dense_output=True,
-    )
+    lasts, events = [c.lasts for c in contacts], [ends(number) for number in range(len(contacts))]
+    how: Any = {"method": "LSODA", "rtol": 1e-9, "atol": 1e-14, "max_step": min(lasts) / 10, "dense_output": True}
+    done = solve_ivp(law, (0.0, MAX_DURATIONS * max(lasts)), first, events=events, **how)
     if not done.success or done.t_events is None:
         raise ValueError(f"a contact that lasts cannot be followed beyond {t + done.t[-1]:.6g} s: {done.message}")
     ended = tuple(number for number, times in enumerate(done.t_events) if len(times))

@@ -16,7 +16,7 @@ from typing import Self
 from synthcam.dynamics.dry_discs import DryBody, DryDisc
 from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.supports import Air, DryPlate
-from synthcam.dynamics.trajectory import CarriedLeg, Leg
+from synthcam.dynamics.trajectory import CarriedLeg, Leg, Motion
 
 Vector = tuple[float, float]
 
@@ -92,20 +92,12 @@ class RigidGroup:
         """Return the legs of the bodies from the time t, s: the centre of mass glides as one body on this air does."""
         state = (*self.centre, 0.0, *self.velocity, 0.0, 0.0, 0.0, self.spin)
         centre = air.leg(state, 0.0, t)
-        still = centre.motion == "rest" and self.spin == 0
-        return {
-            k: CarriedLeg(
-                centre.t0,
-                centre.t1,
-                centre,
-                t,
-                (x - self.centre[0], y - self.centre[1]),
-                z,
-                air.spin_drag,
-                motion="rest" if still else "glide",
-            )
-            for k, (x, y, z) in self.places.items()
-        }
+        motion: Motion = "rest" if centre.motion == "rest" and self.spin == 0 else "glide"
+        legs = dict[int, Leg]()
+        for k, (x, y, z) in self.places.items():
+            offset = x - self.centre[0], y - self.centre[1]
+            legs[k] = CarriedLeg(centre.t0, centre.t1, centre, t, offset, z, air.spin_drag, motion=motion)
+        return legs
 
     def break_bonds(self, body: int, impulse: float) -> set[tuple[int, int]]:
         """Return the bonds of a body that an impulse on it parts."""
