@@ -12,7 +12,7 @@ import inspect
 import keyword
 import pkgutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import MISSING, fields
 from functools import _lru_cache_wrapper, cache
 from importlib.metadata import entry_points
@@ -66,7 +66,7 @@ def library() -> dict[str, type[Effect]]:
 
 def _load_entry_point(name: str, load: Callable[[], object], known: dict[str, type[Effect]]) -> type[Effect]:
     where = f"entry point {name} of {GROUP}"
-    _check_free(name, known, where)
+    check_name(name, where, known)
     try:
         kind = load()
     except (Exception, SystemExit) as error:  # a package may raise anything
@@ -123,25 +123,19 @@ def list_added_folders() -> tuple[Path, ...]:
     return tuple(_folders)
 
 
-def hash_effect_file(name: str) -> str | None:
-    """Return the SHA-256 of the file of an effect from an added folder, or None."""
-    for folder, found in _folders.items():
-        if name in found:
-            return hashlib.sha256((folder / f"{name}.py").read_bytes()).hexdigest()
-    return None
+def hash_effect_files(names: Iterable[str]) -> dict[str, str]:
+    """Hash those of these effects that are from added folders: SHA-256 of each file, by name."""
+    files = {name: folder / f"{name}.py" for folder, found in _folders.items() for name in found}
+    return {name: hashlib.sha256(files[name].read_bytes()).hexdigest() for name in sorted(names) if name in files}
 
 
-def check_name(name: str, where: str) -> None:
-    """Check the name of an effect for the library. Raises PluginError if it cannot be, or another effect has it."""
-    _check_free(name, library(), where)
-
-
-def _check_free(name: str, known: dict[str, type[Effect]], where: str) -> None:
+def check_name(name: str, where: str, known: Collection[str] | None = None) -> None:
+    """Check the name of an effect. Raises PluginError, also where a `known` one, by default of the library, has it."""
     if not (name.isascii() and name.isidentifier() and name == name.lower()) or name.startswith("_"):
         raise PluginError(f"{where}: expected a name of lower-case letters, digits and _, such as my_effect")
     if keyword.iskeyword(name):
         raise PluginError(f"{where}: a word of Python's grammar; choose another name, such as {name}_effect")
-    if name in known:
+    if name in (library() if known is None else known):
         raise PluginError(f"{where}: an effect of this name exists already; choose another name")
     if name in {*table_names(), *SEARCH_ONLY_LAWS, *LAWS}:
         raise PluginError(f"{where}: this is the name of a law; choose another name")
@@ -149,7 +143,7 @@ def _check_free(name: str, known: dict[str, type[Effect]], where: str) -> None:
 
 def _load_file(file: Path, known: dict[str, type[Effect]]) -> type[Effect]:
     """Load the effect in a file. Raises PluginError."""
-    _check_free(file.stem, known, str(file))
+    check_name(file.stem, str(file), known)
     key = hashlib.sha256(str(file.resolve().parent).encode()).hexdigest()[:12]
     name = f"synthcam_effects_of_a_folder_{key}.{file.stem}"  # no package has such a name
     spec = importlib.util.spec_from_file_location(name, file)

@@ -10,7 +10,7 @@ import synthcam.library as module
 from synthcam.cli import app
 from synthcam.dataset import generate, preview
 from synthcam.dataset.generate import GenerationPlan, generate_dataset, make_clip
-from synthcam.library import add_effects, hash_effect_file, library
+from synthcam.library import add_effects, hash_effect_files, library
 from synthcam.model import Model, read_model, write_model
 from synthcam.scene.scene import check_scene, schema
 from synthcam_shared.errors import InputError
@@ -37,13 +37,13 @@ def test_workers_know_the_folder_and_the_dataset_which_file_it_was(own, tmp_path
     outcome = generate_dataset(plan, tmp_path / "d", 2, lambda done, of: None)
     assert (outcome.made, outcome.failed) == (4, ())
     about = json.loads((tmp_path / "d/truth/dataset.json").read_text())
-    assert about["effect_files"] == {"sticky_fingers": hash_effect_file("sticky_fingers")}
+    assert about["effect_files"] == hash_effect_files(["sticky_fingers"])
     truth = json.loads((tmp_path / "d/clips/000003/truth/scene.json").read_text())
     assert truth["drawn"]["effects"] == {"sticky_fingers": {"k": 0.5}}
     (own / "sticky_fingers.py").write_text(STICKY + "# changed\n")
     with pytest.raises(InputError, match="another effect file"):
         generate_dataset(plan, tmp_path / "d", 1, lambda done, of: None)
-    monkeypatch.setattr(generate, "hash_effect_file", lambda name: None)  # a package brings it now
+    monkeypatch.setattr(generate, "hash_effect_files", lambda names: {})  # a package brings it now
     with pytest.raises(InputError, match="another effect file"):
         generate_dataset(plan, tmp_path / "d", 1, lambda done, of: None)
     assert make_clip(plan, 0, tmp_path) is None

@@ -17,7 +17,7 @@ import pandas as pd
 
 from synthcam.dataset.files import finish_dataset, finish_shard, write_clip
 from synthcam.dataset.partial_dataset import PLAN, PartialDataset, open_partial, place_clip
-from synthcam.library import add_effects, hash_effect_file, list_added_folders
+from synthcam.library import add_effects, hash_effect_files, list_added_folders
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene, check_scene
 from synthcam_shared.errors import InputError, NoGL
@@ -26,12 +26,6 @@ from synthcam_shared.job_result import LostJob
 from synthcam_shared.jobs import JobForecast, Progress, run_jobs
 
 MAX_CLIPS = 1_000_000  # of one folder: six digits number them
-
-
-def hash_effect_files(*scenes: Scene) -> dict[str, str]:
-    """Hash the effects of the scenes that users added, for the plan of a dataset: SHA-256 of each file, by name."""
-    used = sorted({name for scene in scenes for name in scene.settings.get("effects") or {}})
-    return {name: found for name in used if (found := hash_effect_file(name))}
 
 
 @dataclass(frozen=True)
@@ -62,7 +56,7 @@ class GenerationPlan:
 
     def document(self) -> dict[str, Any]:
         """Everything that must agree for two runs to make the same dataset, or the same shard of it."""
-        files = hash_effect_files(*self.scenes)
+        files = hash_effect_files({name for scene in self.scenes for name in scene.settings.get("effects") or ()})
         return {
             "scenes": [s.settings for s in self.scenes],
             "clips_per_scene": self.clips,

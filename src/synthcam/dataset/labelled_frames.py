@@ -99,10 +99,8 @@ def label_frames(clip: Clip, every: int = 1) -> Iterator[LabelledFrame]:
 
 def label_recorded(clip: RecordedClip) -> Iterator[LabelledFrame]:
     """Label the frames of a recorded clip with their truth. Raises InputError if it has no film."""
-    if not clip.video:
-        raise InputError(f"{clip.stack}: no such file; expected a dataset with video")
-    drawn = rebuild_clip(clip.number, clip.drawn, f"{clip.folder}, scene.json")
-    return _label(drawn, clip.tracks, clip.pictures(), 1)
+    pictures, drawn = clip.pictures(), rebuild_clip(clip.number, clip.drawn, f"{clip.folder}, scene.json")
+    return _label(drawn, clip.tracks, pictures, 1)
 
 
 def _label(clip: Clip, tracks: pd.DataFrame, pictures: Iterator[NDArray[Any]], every: int) -> Iterator[LabelledFrame]:

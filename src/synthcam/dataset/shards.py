@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from synthcam.dataset.generate import MAX_CLIPS, hash_effect_files
+from synthcam.dataset.generate import MAX_CLIPS
 from synthcam.dataset.labelled_frames import MAX_FAILURES_IN_A_ROW, LabelledFrame, encode_png, make_clips
-from synthcam.library import add_effects, list_added_folders
+from synthcam.library import add_effects, hash_effect_files, list_added_folders
 from synthcam.scene.scene import Scene
 from synthcam_shared.errors import InputError
 from synthcam_shared.job_result import LostJob
@@ -64,7 +64,7 @@ class ShardPlan:
             "clips_per_shard": self.clips_per_shard,
             "format": self.kind,
             "version": version("synthcam"),
-            "effect_files": hash_effect_files(self.scene),
+            "effect_files": hash_effect_files(self.scene.settings.get("effects") or ()),
             "clips": self.clips,
         }
         plain: dict[str, Any] = json.loads(json.dumps(document))

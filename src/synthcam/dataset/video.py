@@ -118,8 +118,7 @@ def write_videos(clips: Iterator[RecordedClip], folder: Path, text: str) -> None
     given = {key: parse_yaml(value) for key, value in parse_encoding(text, "--format").items()}
     how = build_settings(given, VideoSettings, f"--format {text}").model_dump(exclude_none=True)
     for clip in clips:
-        if not clip.video:
-            raise InputError(f"{clip.stack}: no such file; expected a dataset with video")
+        frames = clip.pictures()
         size = (int(clip.camera_json["size"][0]), int(clip.camera_json["size"][1]))
         if problem := find_video_problem(how, size, clip.camera_json["fps"]):
             raise InputError(f"{clip.stack}: {problem}")
@@ -128,7 +127,7 @@ def write_videos(clips: Iterator[RecordedClip], folder: Path, text: str) -> None
         about = json.dumps(clip.camera_json | {"video": how}, indent=1) + "\n"
         (own / "camera.json").write_text(about, encoding="utf-8")
         film = VideoWriter(own, how, float(clip.camera_json["fps"]), size, clip.bits)
-        for frame in clip.pictures():
+        for frame in frames:
             film.write(frame)
         film.close()
 

@@ -34,15 +34,8 @@ class DrillingSpin(Effect):
         force = self._force(slip_speed, spin)
         whole = friction / np.where(force > 0, force, 1.0)  # mu with all other effects on it
         turning, y = self._shares(spin * self.a, slip_speed, spin)
-        series = (
-            0.2,
-            0.01,
-            2.003,
-            -10.752,
-            25.74,
-            -25.326,
-            3 * np.pi / 16 + 8.125,
-        )  # M in rising powers of y; sum 3 pi/16
+        # M in rising powers of y; sum 3 pi/16
+        series = (0.2, 0.01, 2.003, -10.752, 25.74, -25.326, 3 * np.pi / 16 + 8.125)
         return twist - 2.5 * whole * load * self.a / radius**2 * turning * _sum_series(series, y)
 
     def _force(self, slip_speed: Any, spin: Any) -> Any:

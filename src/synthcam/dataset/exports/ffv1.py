@@ -17,8 +17,6 @@ from synthcam_shared.errors import InputError
 
 def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     for clip in clips:
-        if not clip.video:
-            raise InputError(f"{clip.stack}: no such file; expected a dataset with video")
         own = folder / f"{clip.number:06d}"
         own.mkdir()
         (own / "camera.json").write_text(json.dumps(clip.camera_json, indent=1) + "\n", encoding="utf-8")
@@ -29,10 +27,11 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
         kind = [cv2.VIDEOWRITER_PROP_IS_COLOR, int(colour), cv2.VIDEOWRITER_PROP_DEPTH, depth]
         code = cv2.VideoWriter.fourcc(*"FFV1")
         path, size = own / "frames.mkv", tuple(clip.camera_json["size"])
+        frames = clip.pictures()
         film = cv2.VideoWriter(os.fspath(path), cv2.CAP_FFMPEG, code, float(clip.camera_json["fps"]), size, kind)
         if not film.isOpened():
             raise InputError(f"{path}: this OpenCV cannot write FFV1")
-        for frame in clip.pictures():
+        for frame in frames:
             film.write(frame[..., ::-1] if colour else frame)
         film.release()
         check_video(path, clip.frames)
