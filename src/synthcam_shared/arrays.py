@@ -1,4 +1,4 @@
-"""Types of arrays by content; each use documents its shape."""
+"""Types of arrays by content, whose shape each use documents, and factors that whiten errors."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,3 +7,11 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
+
+
+def inverse_roots(covariance: Array) -> Array:
+    """Lower triangular W (..., n, n) with W^T W = C^-1: W times errors of covariance C is independent and of unit size.
+
+    Raises LinAlgError where a covariance is not positive definite.
+    """
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)

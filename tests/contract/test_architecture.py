@@ -19,7 +19,6 @@ FILES = sorted(SRC.rglob("*.py"))
 LAYERS = {
     "synthcam_shared": [
         "arrays errors interruption job_result lazy_names steps track_formats",
-        "whitening",
         "arguments outputs settings application start dask_cluster",
         "jobs",
         "report",

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from synthcam.dataset.files import finish_dataset, finish_shard, write_clip
 from synthcam.dataset.partial_dataset import PLAN, PartialDataset, open_partial, place_clip
@@ -92,12 +91,6 @@ class GenerationOutcome:
 
     made: int  # clips written by this run
     failed: tuple[str, ...]  # a line for each clip that could not be made: its number and the reason
-    root: Path | None  # the folder with the truth; None while clips are missing
-
-    @property
-    def table(self) -> pd.DataFrame | None:
-        """The scalars, a row a clip; None while clips are missing."""
-        return None if self.root is None else pd.read_parquet(self.root / "truth" / "clips.parquet")
 
 
 def generate_dataset(
@@ -123,7 +116,7 @@ def generate_dataset(
     with open_partial(output, plan.document(), withheld) as made:
         if made is None:
             progress(plan.total, plan.total)
-            return GenerationOutcome(0, (), withheld or output)
+            return GenerationOutcome(0, ())
         done = made.list_done()
         todo = [k for k in plan.numbers if k not in done]
         need, free = plan.estimate_bytes(len(todo)), shutil.disk_usage(made.folder).free
@@ -148,9 +141,9 @@ def generate_dataset(
         if failed:
             if not made.list_done():
                 made.discard()
-            return GenerationOutcome(len(todo) - len(failed), tuple(failed), None)
-        complete_dataset(plan, made, machines or [describe_machine(plan.video)])
-        return GenerationOutcome(len(todo), (), made.withheld or made.output)
+        else:
+            complete_dataset(plan, made, machines or [describe_machine(plan.video)])
+        return GenerationOutcome(len(todo) - len(failed), tuple(failed))
 
 
 def complete_dataset(plan: GenerationPlan, made: PartialDataset, machines: list[dict[str, Any]]) -> None:

@@ -345,7 +345,8 @@ class _EventLoop:
         if self.changes:
             further = math.dist(states[i][:3], states[j][:3]) - (self.radius[i] + self.radius[j])
             change = self.changes.draw(t, (i, j), further, lasts)
-        self.calendar.forget_distance(i, j)
+        if self.calendar.distances:
+            self.calendar.distances.renew(i, j)
         if isinstance(self.joint, StickingBodies) and self.joint.concerns(i, j):
             events, new = self.joint.collide(t, i, j, self._gather(i, j), change)
             self.events += events

@@ -201,25 +201,6 @@ def build_surface(settings: dict[str, Any]) -> Surface:
     return Surface(**own | {"steel": law})
 
 
-def list_unusual_camera_settings(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """List by section of camera.json the settings that differ from a plain camera under a plain lamp."""
-    camera = drawn["camera"]
-    out: dict[str, dict[str, Any]] = {"psf": {}, "lens": {}, "shutter": {}}
-    if camera["defocus_px"]:
-        out["psf"]["defocus_px"] = camera["defocus_px"]
-    if camera["f_number"]:
-        out["psf"] |= {k: camera[k] for k in ("f_number", "pixel_pitch", "wavelength")}
-    if camera["vignetting"]:
-        out["lens"]["vignetting"] = camera["vignetting"]
-    if camera["shutter"] == "rolling":
-        out["shutter"] = {"kind": "rolling", "line_time": camera["line_time"]}
-    for section, kind in (("lamp", SceneLampSettings), ("surface", SurfaceSettings), ("sensor", SensorSettings)):
-        usual = kind.model_validate({}).model_dump(exclude_none=True)
-        given = {k: v for k, v in drawn[section].items() if k not in HIDDEN_KEYS}
-        out[section] = {k: v for k, v in given.items() if v != usual.get(k)}
-    return {section: values for section, values in out.items() if values}
-
-
 def camera_json(nominal: PinholeCamera, drawn: dict[str, Any]) -> dict[str, Any]:
     """Make the keys of camera.json: the experimenter's knowledge of camera, lamp and sensor, and the launched ball."""
     known: dict[str, Any] = {
@@ -237,6 +218,20 @@ def camera_json(nominal: PinholeCamera, drawn: dict[str, Any]) -> dict[str, Any]
         known["ball"] = {"finish": surface.get("ball", "steel")} | {k: surface[k] for k in ("colour",) if k in surface}
     if drawn.get("video"):
         known["video"] = dict(drawn["video"])
-    for section, values in list_unusual_camera_settings(drawn).items():
-        known[section] = known.get(section, {}) | values
+    # By section, the settings that differ from a plain camera under a plain lamp.
+    camera = drawn["camera"]
+    unusual = {
+        "psf": {k: camera[k] for k in ("defocus_px",) if camera[k]},
+        "lens": {k: camera[k] for k in ("vignetting",) if camera[k]},
+        "shutter": {"kind": "rolling", "line_time": camera["line_time"]} if camera["shutter"] == "rolling" else {},
+    }
+    if camera["f_number"]:
+        unusual["psf"] |= {k: camera[k] for k in ("f_number", "pixel_pitch", "wavelength")}
+    for section, kind in (("lamp", SceneLampSettings), ("surface", SurfaceSettings), ("sensor", SensorSettings)):
+        usual = kind.model_validate({}).model_dump(exclude_none=True)
+        given = {k: v for k, v in drawn[section].items() if k not in HIDDEN_KEYS}
+        unusual[section] = {k: v for k, v in given.items() if v != usual.get(k)}
+    for section, values in unusual.items():
+        if values:
+            known[section] = known.get(section, {}) | values
     return known

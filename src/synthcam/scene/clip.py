@@ -191,7 +191,8 @@ class Clip:
         seeds = (self.seed + c * apart for c in range(3 if colour else 1))
         chips = [_make_chip(self.sensor, camera.size, camera.exposure, seed) for seed in seeds]
         renderer = _make_renderer(self.finish is not None, pickle.dumps(self._list_optics(quick)))
-        view, orientation = self.view.as_drawn(), self.orientation
+        view = replace(self.view, camera=replace(camera, line_time=0.0))  # the renderer applies the delay of each row
+        orientation = self.orientation
 
         def centres(t: Array) -> Array:
             return view.at(t)[:, :, :3].transpose(1, 0, 2) - [0, 0, self.plate_z]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -45,10 +45,6 @@ class FilmedMotion:
         """Film time at which each exposure opens and closes: (frames, 2), s. frames: their number, or which."""
         starts = np.array(range(frames) if isinstance(frames, int) else frames) / self.camera.fps
         return np.stack([starts, starts + self.camera.exposure], axis=1)
-
-    def as_drawn(self) -> FilmedMotion:
-        """The same motion for a renderer, which applies the delay of each row itself."""
-        return replace(self, camera=replace(self.camera, line_time=0.0))
 
     @property
     def _has_own_clock(self) -> bool:

@@ -134,11 +134,6 @@ class EventCalendar:
         """Add the launch of this number at the time t, s."""
         self.queue.push((t, 2, "launch", number, -1, 0, 0))
 
-    def forget_distance(self, i: int, j: int) -> None:
-        """Let the next contact of two balls that have hit be at another distance."""
-        if self.distances:
-            self.distances.renew(i, j)
-
     def pop(self, horizon: float) -> Due | None:
         """Return the next event up to the horizon, s."""
         queue, version = self.queue, self.version

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam_shared.whitening import inverse_roots
+from synthcam_shared.arrays import inverse_roots
 
 Floats = NDArray[np.float64]
 
