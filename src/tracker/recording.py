@@ -45,7 +45,7 @@ from tracker.detection.diagnose import (
 )
 from tracker.detection.link import Tracks, link_into_tracks, to_centres
 from tracker.edits import EditsSource, TrackEdits
-from tracker.measurement.collision.adequacy import MEASURED
+from tracker.measurement.collision.adequacy import MEASURED, describe_failure
 from tracker.measurement.collision.contacts import MarkedContact
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.local.recommendation import find_recommended_suffix
@@ -572,7 +572,7 @@ def measure_clip(
     tracks: Tracks, camera: Camera, settings: FitSettings | None = None, marked: Sequence[MarkedContact] = ()
 ) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     """Measure one recording's tracks, in memory: rows of estimates, and the motion about the first collision."""
-    from tracker.measurement.estimate import failure_status, make_empty_row, make_motion_table, measure
+    from tracker.measurement.estimate import make_empty_row, make_motion_table, measure
 
     try:
         rows = measure(tracks, camera, settings, marked)
@@ -581,4 +581,4 @@ def measure_clip(
         raise
     except (ArithmeticError, ValueError, IndexError) as error:  # one clip never costs the others
         nothing = replace(tracks, **{f.name: getattr(tracks, f.name)[:0] for f in fields(tracks)})
-        return [make_empty_row(camera, failure_status(error))], make_motion_table(nothing, camera, {})
+        return [make_empty_row(camera, describe_failure(error))], make_motion_table(nothing, camera, {})

@@ -123,7 +123,7 @@ LAYERS = {
         "collision_model",
         "least_squares derived",
         "contacts adequacy",
-        "noise_correlation striker motion_test",
+        "noise_correlation striker departures",
         "collision_fit",
     ],
     "tracker.benchmark": [

@@ -10,28 +10,22 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tracker.camera.camera import Camera, LampSettings
 from tracker.camera.views import perturb_view, scale_at
+from tracker.camera.warp import Warp
 from tracker.measurement.collision.collision_fit import CollisionFits
 from tracker.measurement.collision.collision_model import GRAVITY
-from tracker.measurement.collision.derived import (
-    QUANTITY_NAMES,
-    DerivedValues,
-    derive_from_free,
-    derive_values_from_tied,
-)
+from tracker.measurement.collision.departures import derive_values
+from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free
 from tracker.measurement.collision.lasting_contact import LastingFit, LastingResiduals
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
 from tracker.measurement.positions import BallTrack
-
-if TYPE_CHECKING:
-    from tracker.camera.camera import Camera, LampSettings
-    from tracker.camera.warp import Warp
 
 Floats = NDArray[np.float64]
 DERIVATIVE_STEP = 1e-3  # of a standard error, for derivatives: t_c must not leave the exposure in which it lies
@@ -156,32 +150,24 @@ def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
     return (*known, *views, *lamps, *warps)
 
 
-def add_camera_errors(
-    fit: CollisionFit, values: DerivedValues, tied: bool, camera: Camera
-) -> tuple[CollisionFit, DerivedValues]:
+def add_camera_errors(fit: CollisionFit, values: DerivedValues, camera: Camera) -> tuple[CollisionFit, DerivedValues]:
     """Add the errors of the camera file to a tied or free fit and its quantities.
 
     The parameters keep their values: the errors of the camera are not estimated. The new chi^2 is that by a covariance
     of the positions to which the camera's errors are added. The covariance of the quantities holds the camera's errors,
     and their `shared` is the effect of each.
     """
-    errors, pair = camera_errors(camera), fit.pair
+    errors, diameter = camera_errors(camera), fit.pair.diameter
     if not errors:
         return fit, values
-    index, residual, rows, disturbed = _disturb(fit, tied, errors, camera)
-    fitted, explained = linear_response(residual, rows, fit.cov[np.ix_(index, index)], disturbed)
-    shift = np.zeros((len(fit.parameters), len(errors)))
-    shift[index] = fitted
+    shift, _, explained = _shift_fit(fit, errors, camera)
 
     def changed(error: CameraError, by: float) -> Floats:
         at = fit.parameters + by * shift[:, errors.index(error)]
-        diameter = error.diameter(pair.diameter, by)
-        if tied:
-            return derive_values_from_tied(at, diameter, pair.spin)
-        return derive_from_free(at, fit.cov, diameter, shift).value
+        return derive_values(fit, at, error.diameter(diameter, by), shift)
 
-    if not tied:  # the values of both balls are averaged with other weights
-        values = derive_from_free(fit.parameters, fit.cov, pair.diameter, shift)
+    if not fit.is_tied:  # the values of both balls are averaged with other weights
+        values = derive_from_free(fit.parameters, fit.cov, diameter, shift)
     return replace(fit, chi2=fit.chi2 - explained), values.with_shared(differentiate_by_camera(errors, changed))
 
 
@@ -198,7 +184,7 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
         def moved(error: CameraError, by: float, fit: LastingFit = fit) -> Floats:
             return LastingResiduals(error.pair(fits.pair, by, camera.fps), fit.problem.kind).residual(fit.x)
 
-        shift, explained = linear_response(residual, rows, fit.cov, differentiate_by_camera(errors, moved))
+        shift, _, explained = linear_response(residual, rows, fit.cov, differentiate_by_camera(errors, moved))
 
         def values(error: CameraError, by: float, fit: LastingFit = fit, shift: Floats = shift) -> Floats:
             problem = LastingResiduals(error.pair(fits.pair, by, camera.fps), fit.problem.kind)
@@ -217,7 +203,6 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
 def add_contact_errors(
     fit: CollisionFit,
     values: DerivedValues,
-    tied: bool,
     camera: Camera,
     distance: tuple[float, float],
     *,
@@ -237,15 +222,10 @@ def add_contact_errors(
     if not longest > hard_contact_s:
         return values
     unit = CameraError("ball_diameter", camera.ball_diameter, -nearer / fit.pair.diameter)
-    index, residual, rows, disturbed = _disturb(fit, tied, [unit], camera)
-    shift = np.zeros(len(fit.parameters))
-    shift[index] = linear_response(residual, rows, fit.cov[np.ix_(index, index)], disturbed)[0][:, 0]
+    shift = _shift_fit(fit, [unit], camera)[0][:, 0]
 
     def changed(_: CameraError, by: float) -> Floats:
-        at = fit.parameters + by * shift
-        if tied:
-            return derive_values_from_tied(at, fit.pair.diameter, fit.pair.spin)
-        return derive_from_free(at, fit.cov, fit.pair.diameter).value
+        return derive_values(fit, fit.parameters + by * shift, fit.pair.diameter)
 
     effect = np.nan_to_num(differentiate_by_camera([unit], changed)[:, 0])
     pressed = 2 * np.nan_to_num(min(max(value["mu_k"], 0.0), 1.0)) * GRAVITY * longest
@@ -253,38 +233,37 @@ def add_contact_errors(
     return replace(values, cov=values.cov + np.outer(effect, effect))
 
 
-def measure_contact_distance(free: CollisionFit, camera: Camera, tied: bool = False) -> tuple[float, float]:
+def measure_contact_distance(fit: CollisionFit, camera: Camera) -> tuple[float, float]:
     """Measure how wrong the camera file's scale or diameter may be: the distance at the contact, by a fit.
 
     The fit assumes that they touch at one diameter. Returns the distance in diameters, and its standard error with
     those of scale and diameter.
     """
     unit = CameraError("ball_diameter", camera.ball_diameter, 0.01)
-    index, residual, rows, disturbed = _disturb(free, tied, [unit], camera)
-    shift, _ = linear_response(residual, rows, free.cov[np.ix_(index, index)], disturbed)
-    left = (disturbed + rows @ shift)[:, 0]
-    square = max(float(left @ left), 1e-300)
-    off, worse = -float(left @ residual) / square, (free.chi2 - float(left @ residual) ** 2 / square) / max(free.dof, 1)
+    pull = _shift_fit(fit, [unit], camera)[1][:, 0]
+    square, along = max(float(pull @ pull), 1e-300), float(pull @ fit.linearise()[1])
+    off, worse = -along / square, (fit.chi2 - along**2 / square) / max(fit.dof, 1)
     known = [error.share for error in camera_errors(camera) if error.key != "fps"]
     return 1 + off * unit.share, float(np.linalg.norm([unit.share * np.sqrt(max(worse, 1.0) / square), *known]))
 
 
-def _disturb(
-    fit: CollisionFit, tied: bool, errors: Sequence[CameraError], camera: Camera
-) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
-    """The fitted parameters, and the residuals at the minimum with their derivatives by these and by the errors."""
-    problem = WhitenedResiduals(fit.pair, tied)
-    x = fit.parameters[problem.index]
-    disturbed = differentiate_by_camera(
-        errors, lambda error, by: WhitenedResiduals(error.pair(fit.pair, by, camera.fps), tied).residual(x)
-    )
-    return problem.index, *problem(x), disturbed
+def _shift_fit(fit: CollisionFit, errors: Sequence[CameraError], camera: Camera) -> tuple[Floats, Floats, float]:
+    """The `linear_response` of all parameters of a fit to errors of the camera."""
+    problem, residual, rows, cov = fit.linearise()
+    shift, left, explained = linear_response(residual, rows, cov, differentiate_residuals(fit, errors, camera))
+    every = np.zeros((problem.size, len(errors)))
+    every[problem.index] = shift
+    return every, left, explained
 
 
-def differentiate_residuals(fit: CollisionFit, tied: bool, camera: Camera) -> Floats | None:
+def differentiate_residuals(fit: CollisionFit, errors: Sequence[CameraError], camera: Camera) -> Floats:
     """Differentiate the whitened residuals of a fit by the errors of the camera file, per standard error: (m, k)."""
-    errors = camera_errors(camera)
-    return _disturb(fit, tied, errors, camera)[3] if errors else None
+
+    def moved(error: CameraError, by: float) -> Floats:
+        problem = WhitenedResiduals(error.pair(fit.pair, by, camera.fps), fit.is_tied)
+        return problem.residual(fit.parameters[problem.index])
+
+    return differentiate_by_camera(errors, moved)
 
 
 def differentiate_by_camera(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
@@ -297,7 +276,7 @@ def differentiate_by_camera(errors: Sequence[CameraError], function: Callable[[C
     ).T
 
 
-def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> tuple[Floats, float]:
+def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> tuple[Floats, Floats, float]:
     """Compute how errors of the camera file, as disturbances of size 1, shift a least-squares fit to first order.
 
     Parameters
@@ -311,13 +290,15 @@ def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> 
     -------
     shift : (p, k) array
         Derivative of the parameters by the disturbances.
+    left : (m, k) array
+        What the shifted parameters leave of the disturbances.
     explained : float
         Reduction of chi^2 when the disturbances are part of the covariance of the residuals.
     """
     shift = -cov @ rows.T @ by
     left = by + rows @ shift
     pull = left.T @ residual
-    return shift, float(pull @ np.linalg.solve(np.eye(by.shape[1]) + left.T @ left, pull))
+    return shift, left, float(pull @ np.linalg.solve(np.eye(by.shape[1]) + left.T @ left, pull))
 
 
 def effects_to_json(camera: Camera, blocks: dict[str, Floats]) -> dict[str, Any]:

@@ -14,21 +14,24 @@ Quantities that a clip does not show are NaN.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
+from tracker.camera.camera import Camera
 from tracker.camera.camera_json import BODIES
+from tracker.detection.link import Tracks
 from tracker.measurement import painter_behringer
 from tracker.measurement.camera_errors import (
     add_camera_errors,
     add_camera_errors_to_lasting,
     add_contact_errors,
+    camera_errors,
     differentiate_residuals,
     effects_to_json,
     measure_contact_distance,
@@ -46,6 +49,7 @@ from tracker.measurement.collision.adequacy import (
     TOO_FEW,
     Flag,
     compute_p_value_of_free_fits,
+    describe_failure,
     flag_contact_distance,
 )
 from tracker.measurement.collision.collision_fit import (
@@ -53,6 +57,7 @@ from tracker.measurement.collision.collision_fit import (
     CollisionFits,
     fit_collision,
     fit_lasting_collision,
+    name_quantities_of_slide,
 )
 from tracker.measurement.collision.collision_model import FREE, SPIN, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import (
@@ -66,13 +71,11 @@ from tracker.measurement.collision.contacts import (
     find_slow_contacts,
     prepare_contact,
 )
-from tracker.measurement.collision.departures import LawDeparture
+from tracker.measurement.collision.departures import LawDeparture, compare_losses, find_slope_of_friction
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
-from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_contact_frames
+from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_contact_frames, shows_friction
 from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.collision.noise_correlation import variance_of_residuals
-from tracker.measurement.collision.rolling_losses import compare_losses
-from tracker.measurement.collision.slip_friction import find_slope_of_friction
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, StayingPair, find_staying_pairs
 from tracker.measurement.crowd.crowd_rows import estimate_contacts
 from tracker.measurement.crowd.track_contacts import find_track_contacts
@@ -85,10 +88,6 @@ from tracker.measurement.lone_ball import PARAMETERS, add_camera_errors_to_lone_
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 from tracker.settings import FitSettings
-
-if TYPE_CHECKING:
-    from tracker.camera.camera import Camera
-    from tracker.detection.link import Tracks
 
 __all__ = ["fit_all_jointly", "fit_collision", "make_motion_table", "measure", "select_claims"]
 
@@ -168,12 +167,15 @@ def _measure_balls(
 ) -> list[dict[str, Any]]:
     """The rows of a clip, the size of its errors given."""
     noise = _noise_columns(balls[0], camera)
-    if len(balls) > 1 and not camera.knows_diameter:
-        return [make_empty_row(camera, NO_DIAMETER) | noise]
+    nothing = make_empty_row(camera, "no_collision") | noise
+    if len(balls) == 1:
+        return [nothing | _lone_ball(balls, camera, settings)]
+    if not camera.knows_diameter:
+        return [nothing | {"status": NO_DIAMETER}]
     if len(balls) >= settings.crowd_particles:
-        return _measure_crowd(balls, camera, settings) or [make_empty_row(camera, "no_collision") | noise]
-    found = find_contacts(balls, camera.ball_diameter, marked=marked) if len(balls) > 1 else []
-    near = find_near_pairs(balls, MAX_DISTANCE * camera.ball_diameter, 1.0) if len(balls) > 1 else ()
+        return _measure_crowd(balls, camera, settings) or [nothing]
+    found = find_contacts(balls, camera.ball_diameter, marked=marked)
+    near = find_near_pairs(balls, MAX_DISTANCE * camera.ball_diameter, 1.0)
     together = [stay for a, b in near for stay in find_staying_pairs(a, b, camera.ball_diameter)]
     candidates = [candidate for candidate in found if candidate.is_marked(marked)]
     together = [stay for stay in together if not any(_is_within(candidate, stay) for candidate in candidates)]
@@ -185,16 +187,15 @@ def _measure_balls(
     ]
     if found or stays:
         return _measure_collisions(found, stays, noise, camera, settings)
-    found = find_slow_contacts(balls, camera.ball_diameter) if len(balls) > 1 else []
-    if found:
-        return _measure_collisions(found, [], noise, camera, settings)
+    if slow := find_slow_contacts(balls, camera.ball_diameter):
+        return _measure_collisions(slow, [], noise, camera, settings)
     # A filter that smooths tracks keeps the balls apart, and so does a wrong scale: search within 1.5 diameters.
-    found = find_contacts(balls, 1.5 * camera.ball_diameter, 2.0) if len(balls) > 1 else []
+    found = find_contacts(balls, 1.5 * camera.ball_diameter, 2.0)
     rows = _measure_collisions(found, [], noise, camera, settings)
     if any(row["status"] in MEASURED for row in rows):
         return rows
     flags = {"flags": str(Flag.NO_TOUCH)} if found else {}
-    return [make_empty_row(camera, "no_collision") | noise | _lone_ball(balls, camera, settings) | flags]
+    return [nothing | _lone_ball(balls, camera, settings) | flags]
 
 
 def _measure_crowd(balls: list[BallTrack], camera: Camera, settings: FitSettings) -> list[dict[str, Any]]:
@@ -206,9 +207,7 @@ def _measure_crowd(balls: list[BallTrack], camera: Camera, settings: FitSettings
         row = make_empty_row(camera, CROWD, index) | {"particle1": seen.one, "particle2": seen.other}
         row |= {"t_c": seen.time, "t_c_std": seen.time_std}
         if contact is not None:
-            row |= {f"particle{i}": track.particle for i, track in contact.pair.balls}
-            frames = np.concatenate([track.frame for _, track in contact.pair.balls])
-            row |= {"frame_first": int(frames.min()), "frame_last": int(frames.max())}
+            row |= _name_balls(contact.pair.struck, contact.pair.striker)
         row |= _noise_columns(balls[0], camera) | make_local_columns(local, settings=settings)
         rows.append(row | recommend(row))
     return rows
@@ -236,7 +235,7 @@ def _measure_collisions(
             row, left = _measure_collision(event, earlier, letters, camera, i, settings)
         except (ArithmeticError, ValueError, IndexError) as error:  # one collision never costs the others
             one, two = event.one.particle, event.other.particle
-            row = make_empty_row(camera, failure_status(error), i) | {"particle1": one, "particle2": two}
+            row = make_empty_row(camera, describe_failure(error), i) | {"particle1": one, "particle2": two}
             left = dict.fromkeys((one, two), EarlierHit(np.inf))
         row |= recommend(row)
         rows.append(noise | row if row["noise"] == "scatter" else row | noise)
@@ -252,19 +251,17 @@ def _is_within(candidate: ContactCandidate, stay: StayingPair) -> bool:
 
 def _stay_columns(stay: StayingPair) -> dict[str, Any]:
     """The columns of two balls that stay together."""
-    row: dict[str, Any] = {"particle1": stay.struck.particle, "particle2": stay.striker.particle}
-    values = {"v0": (stay.speed, stay.speed_std), "b": (stay.offset, stay.offset_std), "r": (0.0, stay.r_std)}
-    for name, (value, std) in (values).items():
-        row[name], row[f"{name}_std"] = value, std
-    row |= {"t_c": stay.time, "r_free": 0.0, "r_free_std": stay.r_std, "flags": str(Flag.TOGETHER)}
-    frames = np.concatenate([stay.struck.frame, stay.striker.frame])
-    row |= {"frame_first": int(frames.min()), "frame_last": int(frames.max())}
-    return row | {"contact_first": stay.first, "contact_last": stay.last}
+    row = _name_balls(stay.struck, stay.striker)
+    row |= {"v0": stay.speed, "v0_std": stay.speed_std, "b": stay.offset, "b_std": stay.offset_std}
+    row |= {"r": 0.0, "r_std": stay.r_std, "r_free": 0.0, "r_free_std": stay.r_std, "flags": str(Flag.TOGETHER)}
+    return row | {"t_c": stay.time, "contact_first": stay.first, "contact_last": stay.last}
 
 
-def failure_status(error: Exception) -> str:
-    """A status that says that the arithmetic failed, and how."""
-    return f"the fit failed: {(str(error).splitlines() or [type(error).__name__])[0][:80]}"
+def _name_balls(struck: BallTrack, striker: BallTrack) -> dict[str, Any]:
+    """The columns that name two balls and the frames in which they are measured."""
+    frames = np.concatenate([struck.frame, striker.frame])
+    first_and_last = {"frame_first": int(frames.min()), "frame_last": int(frames.max())}
+    return {"particle1": struck.particle, "particle2": striker.particle} | first_and_last
 
 
 def _noise_columns(track: BallTrack, camera: Camera) -> dict[str, Any]:
@@ -294,20 +291,17 @@ def _measure_collision(
         candidate = replace(candidate, one=one, other=other)
     contact = prepare_contact(candidate, camera.ball_diameter, earlier, settings)
     row = make_empty_row(camera, contact.reason or "ok", index)
-    row |= {f"particle{i}": track.particle for i, track in contact.pair.balls}
-    frames = np.concatenate([track.frame for _, track in contact.pair.balls])
-    row |= {"frame_first": int(frames.min()), "frame_last": int(frames.max())}
+    row |= _name_balls(contact.pair.struck, contact.pair.striker)
     unknown = {track.particle: EarlierHit(np.inf) for _, track in contact.pair.balls}
     if contact.reason:
         return row, unknown
     read, flags = _fit(contact, candidate, earlier, camera, settings)
     lasting = None if isinstance(read, str) else read.lasting
     seen = contact if lasting is None else replace(contact, first=lasting.first, last=lasting.last)
-    _name_balls(contact, camera, letters)
-    masses = _masses_of(contact, camera, letters)
-    straight = "" if isinstance(read, str) else "|".join(read.flags)
+    masses = _find_masses(contact, camera, letters)
+    foreign = _why_foreign(masses, camera, () if isinstance(read, str) else read.flags)
     local = _estimate_locally(seen, masses, camera)
-    row |= make_local_columns(local, camera.mass_ratio is not None, _why_foreign(masses, camera, straight), settings)
+    row |= make_local_columns(local, camera.mass_ratio is not None, foreign, settings)
     if isinstance(read, str):
         return row | {"status": read}, unknown
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
@@ -337,35 +331,28 @@ def _estimate_locally(contact: Contact, masses: tuple[float, float], camera: Cam
     try:
         return estimate_locally(contact, camera, masses)
     except (ArithmeticError, ValueError, IndexError) as error:  # the other estimates stand without it
-        return failure_status(error)
+        return describe_failure(error)
 
 
-def _masses_of(contact: Contact, camera: Camera, letters: dict[int, str]) -> tuple[float, float]:
-    """Masses of ball 1 and ball 2 of a contact, in any unit; letters: "a" or "b", by particle."""
-    ratio = 1.0 if camera.mass_ratio is None else camera.mass_ratio
-    of = {"a": ratio, "b": 1.0}
-    return of[letters[contact.pair.struck.particle]], of[letters[contact.pair.striker.particle]]
+def _find_masses(contact: Contact, camera: Camera, letters: dict[int, str]) -> tuple[float, float]:
+    """Masses of ball 1 and ball 2 of a contact, in any unit.
 
-
-def _name_balls(contact: Contact, camera: Camera, letters: dict[int, str]) -> None:
-    """Give the letters of camera.json to the balls of a contact; the first striker is the ball that was launched."""
-    one, two = contact.pair.struck.particle, contact.pair.striker.particle
-    other = {"a": "b", "b": "a"}
+    letters: "a" or "b" of camera.json by particle, to which those of its balls are added. The first striker is the ball
+    that was launched.
+    """
+    one, two, other = contact.pair.struck.particle, contact.pair.striker.particle, {"a": "b", "b": "a"}
     letters.setdefault(two, other[letters[one]] if one in letters else camera.striker)
     letters.setdefault(one, other[letters[two]])
+    masses = {"a": 1.0 if camera.mass_ratio is None else camera.mass_ratio, "b": 1.0}
+    return masses[letters[one]], masses[letters[two]]
 
 
-def _why_foreign(masses: tuple[float, float], camera: Camera, flags: str, *, max_mass_difference: float = 0.002) -> str:
-    """Say why the tied fit, of equal balls that roll, is not one of these bodies; "" if it is.
-
-    max_mass_difference: relative, of balls that count as equal.
-    """
-    if abs(masses[0] / masses[1] - 1) > max_mass_difference:
+def _why_foreign(masses: tuple[float, float], camera: Camera, flags: Collection[Flag]) -> str:
+    """Say why the tied fit, of equal balls that roll, is not one of these bodies; "" if it is."""
+    if abs(masses[0] / masses[1] - 1) > 0.002:
         return "the tied fit is that of equal masses"
     glides = camera.glides or camera.body != BODIES["ball"]
-    if glides and Flag.STRAIGHT not in flags.split("|"):
-        return "the tied fit is that of balls that roll"
-    return ""
+    return "the tied fit is that of balls that roll" if glides and Flag.STRAIGHT not in flags else ""
 
 
 def _fit(
@@ -374,19 +361,14 @@ def _fit(
     earlier: dict[int, EarlierHit],
     camera: Camera,
     settings: FitSettings,
-    *,
-    doubtful_sigma: float = 3.0,
-    min_frames_within: int = 3,
 ) -> tuple[CollisionFits | str, list[Flag]]:
     """The fits of a collision with the camera's errors, or why there are none; flags of the contact's distance.
 
     A contact that lasts is tried first if balls are clearly within a diameter in some frames, and otherwise if an
     instantaneous one is doubtful.
-
-    doubtful_sigma: replaces the least significance of a contact that lasts.
-    min_frames_within: frames with the balls clearly within a diameter, from which on a contact that lasts is tried
-    first.
     """
+    min_frames_within = 3  # frames with the balls clearly within a diameter
+    doubtful_sigma = 3.0  # least significance of a contact that lasts, where an instantaneous one is doubtful
     tries = partial(fit_lasting_collision, candidate, camera.ball_diameter, earlier, settings)
     lasting: CollisionFits | str | None = None
     if is_wide := count_contact_frames(candidate, camera.ball_diameter) >= min_frames_within:
@@ -397,13 +379,13 @@ def _fit(
             return lasting, []
     read, flags, nearer = fit_collision(contact), list[Flag](), np.nan
     if not isinstance(read, str):
-        tied, tied_values = add_camera_errors(read.tied, read.tied_values, True, camera)
-        free, free_values = add_camera_errors(read.free, read.free_values, False, camera)
+        tied, tied_values = add_camera_errors(read.tied, read.tied_values, camera)
+        free, free_values = add_camera_errors(read.free, read.free_values, camera)
         read = replace(read, tied=tied, free=free, tied_values=tied_values, free_values=free_values)
-        by_free, by_tied = (measure_contact_distance(fit, camera, fit is tied) for fit in (free, tied))
+        by_free, by_tied = (measure_contact_distance(fit, camera) for fit in (free, tied))
         if not read.is_misfit:
-            read = replace(read, tied_values=add_contact_errors(tied, tied_values, True, camera, by_tied))
-        read = replace(read, free_values=add_contact_errors(free, free_values, False, camera, by_free))
+            read = replace(read, tied_values=add_contact_errors(tied, tied_values, camera, by_tied))
+        read = replace(read, free_values=add_contact_errors(free, free_values, camera, by_free))
         flags = flag_contact_distance(*by_free, settings)
         read = read.with_departures(*_find_departures(tied, free, camera))
         nearer = max((1 - distance) / std for distance, std in (by_free, by_tied))
@@ -423,11 +405,12 @@ def _find_departures(
 
     Those that the parameters of a fit absorb are left out. The free fit hardly shows how friction changes.
     """
-    known, known_free = (differentiate_residuals(fit, fit is tied, camera) for fit in (tied, free))
+    errors = camera_errors(camera)
+    known, known_free = (differentiate_residuals(fit, errors, camera) if errors else None for fit in (tied, free))
     by_tied, by_free = dict[Flag, LawDeparture](), dict[Flag, LawDeparture]()
     for flag, find in ((Flag.LOSSES_DIFFER, compare_losses), (Flag.FRICTION_CHANGES, find_slope_of_friction)):
-        one = find(tied, True, known)
-        other = find(free, False, known_free, one)
+        one = find(tied, known)
+        other = find(free, known_free, one)
         by_tied |= {} if one is None else {flag: one}
         by_free |= {} if other is None else {flag: other}
     return by_tied, by_free
@@ -439,8 +422,7 @@ def _may_last(read: CollisionFits, nearer: float) -> bool:
     nearer: standard errors by which they touch within one diameter. Noise that is correlated from frame to frame may
     be that of the contact.
     """
-    mu = QUANTITY_NAMES.index("mu_k")
-    is_slide_unseen = not read.tied_values.std[mu] < read.settings.max_relative_error * read.tied_values.value[mu]
+    is_slide_unseen = not shows_friction(read.tied_values, read.settings)
     is_correlated = read.contact.pair.striker.rho > 0
     return bool(read.is_misfit or read.flags or is_correlated or is_slide_unseen or nearer > MIN_SIGNIFICANCE)
 
@@ -507,8 +489,7 @@ def select_claims(
         for ball, seen in enumerate(read.slide_ends_seen, 1):
             k = FREE.index(f"log_tau{ball}")
             if not seen:
-                unseen |= {f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "mu_k", "C"}
-                unseen |= {"energy_fraction", "momentum_fraction", "final_angle"}
+                unseen |= name_quantities_of_slide(ball)
             elif read.free.cov[k, k] > settings.max_relative_error**2:  # too short to show the velocity after the hit
                 unseen |= {"r", "s", "mu_k", "C", f"w{ball}n", f"w{ball}t"}
         b = QUANTITY_NAMES.index("b")
@@ -589,13 +570,8 @@ def make_empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any
     row |= dict.fromkeys((*BEFORE, *(f"{name}_std" for name in BEFORE[: len(SPIN)])), np.nan)
     row |= {"noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
     row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}
-    row |= {
-        "time_left_s": np.nan,
-        "contact_duration_s": np.nan,
-        "contact_duration_s_std": np.nan,
-        "contact_first": -1,
-        "contact_last": -1,
-    }
+    row |= dict.fromkeys(("time_left_s", "contact_duration_s", "contact_duration_s_std"), np.nan)
+    row |= {"contact_first": -1, "contact_last": -1}
     row |= {"chi2": np.nan, "dof": 0, "dropped": 0}
     return row | {"chi2_free": np.nan, "dof_free": 0, "dropped_free": 0}
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.camera.camera import Camera
 from tracker.measurement.camera_errors import camera_errors, differentiate_by_camera, effects_to_json, linear_response
 from tracker.measurement.collision.collision_model import SHORTEST_EXPOSURE, roll_freely
 from tracker.measurement.collision.least_squares import BROAD_PRIORS, covariance, find_best_minimum
 from tracker.measurement.positions import BallTrack
-
-if TYPE_CHECKING:
-    from tracker.camera.camera import Camera
 
 Floats = NDArray[np.float64]
 MIN_SPEED_SIGMA = 5.0  # from which on a ball surely moves
@@ -100,6 +98,6 @@ def add_camera_errors_to_lone_ball(alone: LoneBallFit, camera: Camera) -> tuple[
         errors, lambda error, by: _Rolling(error.move_track(track, by, camera.fps)).residual(x)
     )
     problem = _Rolling(track)
-    shift, explained = linear_response(problem.residual(x), problem.slope(x), alone.cov, moved)
+    shift, _, explained = linear_response(problem.residual(x), problem.slope(x), alone.cov, moved)
     wider = replace(alone, cov=alone.cov + shift @ shift.T, chi2=alone.chi2 - explained)
     return wider, effects_to_json(camera, {"rolling": shift[-3:]})

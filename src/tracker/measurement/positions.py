@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.camera.camera import Camera
+from tracker.camera.warp import Warp
 from tracker.detection.glints import SHADED_POSITION_ERROR_RADII, PositionFlag
+from tracker.detection.link import Tracks
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
 from tracker.measurement.noise.whitening import PositionWhitener
-
-if TYPE_CHECKING:
-    from tracker.camera.camera import Camera
-    from tracker.camera.warp import Warp
-    from tracker.detection.link import Tracks
 
 Floats = NDArray[np.float64]
 UNKNOWN_ERROR_PX = 0.1  # of a position, where a table gives no errors and is too short to show them
@@ -86,6 +84,14 @@ class BallTrack:
             return self
         arrays: dict[str, Any] = {name: v[rows] for name, v in vars(self).items() if isinstance(v, np.ndarray)}
         return replace(self, **arrays)
+
+
+def measure_separation(
+    one: BallTrack, other: BallTrack
+) -> tuple[NDArray[np.int64], Floats, NDArray[Any], NDArray[Any]]:
+    """Measure the distance of two balls, m, in all frames that show both: frames, distances, and the rows of either."""
+    frames, mine, its = np.intersect1d(one.frame, other.frame, return_indices=True)
+    return frames, np.hypot(*(one.position[mine] - other.position[its]).T), mine, its
 
 
 def to_ball_tracks(tracks: Tracks, camera: Camera, *, default_glint_width_px: float = 1.0) -> list[BallTrack]:

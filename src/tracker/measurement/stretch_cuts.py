@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from tracker.measurement.positions import BallTrack
+from tracker.measurement.positions import BallTrack, measure_separation
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -58,8 +58,7 @@ class StretchCutter:
         for other in balls if np.isfinite(diameter) else ():
             if other is ball:
                 continue
-            _, mine, its = np.intersect1d(ball.frame, other.frame, return_indices=True)
-            apart = np.hypot(*(ball.position[mine] - other.position[its]).T)
+            _, apart, mine, _ = measure_separation(ball, other)
             step = np.abs(np.diff(apart, prepend=apart[:1]))
             found.append(ball.time[mine][apart < self.near_diameters * diameter + step])
         return np.concatenate(found)

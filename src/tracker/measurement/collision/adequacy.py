@@ -149,3 +149,8 @@ def flag_contact_distance(distance: float, std: float, settings: FitSettings) ->
     if abs(distance - 1) - settings.impossible_sigma * std < settings.contact_distance_tolerance:
         return []
     return [Flag.OVERLAP if distance < 1 else Flag.NO_TOUCH]
+
+
+def describe_failure(error: Exception) -> str:
+    """Describe, as the status of a collision, that the arithmetic of its fit failed, and how."""
+    return f"the fit failed: {(str(error).splitlines() or [type(error).__name__])[0][:80]}"

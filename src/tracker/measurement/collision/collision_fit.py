@@ -19,8 +19,14 @@ from tracker.measurement.collision.adequacy import (
 )
 from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import Contact, ContactCandidate, EarlierHit, guess_parameters
-from tracker.measurement.collision.departures import LawDeparture, average_over_departures
-from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
+from tracker.measurement.collision.departures import (
+    LawDeparture,
+    average_over_departures,
+    derive_quantities,
+    find_p_of_motion,
+    find_slope_of_friction,
+)
+from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.collision.lasting_contact import (
     MIN_SIGNIFICANCE,
     LastingContact,
@@ -29,9 +35,7 @@ from tracker.measurement.collision.lasting_contact import (
     fit_lasting_contact,
 )
 from tracker.measurement.collision.least_squares import ROUGH_TOLERANCE, BallPair, CollisionFit, fit_motion
-from tracker.measurement.collision.motion_test import find_p_of_motion
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
-from tracker.measurement.collision.slip_friction import find_slope_of_friction
 from tracker.measurement.collision.striker import is_believable_striker, list_alternative_strikers
 from tracker.settings import FitSettings
 
@@ -40,6 +44,11 @@ Floats = NDArray[np.float64]
 
 ONCE_BOTH_ROLL = ("mu_k", "C", "energy_fraction", "momentum_fraction", "final_angle")  # known once both balls roll
 AFTER_SLIDES = (*ONCE_BOTH_ROLL, "tau1", "tau2", "v1f", "v2f", "drag", "decel", "w1n", "w1t", "w2n", "w2t")
+
+
+def name_quantities_of_slide(ball: int) -> set[str]:
+    """Name the quantities of a collision that are measured once the slide of a ball has ended."""
+    return {f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", *ONCE_BOTH_ROLL}
 
 
 @dataclass(frozen=True)
@@ -231,7 +240,7 @@ def _is_explained_by_friction(read: CollisionFits | str) -> bool:
 
     Unequal rolling losses do not count here: a fit without the first positions of the striker then gives right values.
     """
-    slope = None if isinstance(read, str) else find_slope_of_friction(read.tied, True)
+    slope = None if isinstance(read, str) else find_slope_of_friction(read.tied)
     return isinstance(read, CollisionFits) and slope is not None and read.is_explained_by(slope)
 
 
@@ -277,7 +286,7 @@ def fit_lasting_collision(
     unseen = set(AFTER_SLIDES if is_straight else ())
     for ball, seen in enumerate(fits.slide_ends_seen, 1):
         if not seen:
-            unseen |= {f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", *ONCE_BOTH_ROLL}
+            unseen |= name_quantities_of_slide(ball)
     flag = Flag.STRAIGHT
     if fits.contact is not None:
         flag = Flag.LASTS if fits.contact.is_certain else Flag.LASTS_OR_SMALLER
@@ -335,7 +344,7 @@ def _fit_both(contact: Contact, starts: list[Floats], tied: CollisionFit | None 
     tied = tied or fit_motion(pair, True, starts)
     free, seen = _fit_free(pair, tied)
     if tied.chi2 > free.chi2 + 50:  # the free fit has no impact to get wrong: let it lead
-        again = fit_motion(pair, True, [_free_to_tied(free, tied, pair.diameter)])
+        again = fit_motion(pair, True, [_free_to_tied(free, tied)])
         if again.chi2 < tied.chi2:
             tied = again
             free, seen = _fit_free(pair, tied)
@@ -352,8 +361,8 @@ def _fit_both(contact: Contact, starts: list[Floats], tied: CollisionFit | None 
         tied=tied,
         free=free,
         slide_ends_seen=seen,
-        tied_values=derive_from_tied(tied.parameters, tied.cov, pair.diameter, pair.spin),
-        free_values=derive_from_free(free.parameters, free.cov, pair.diameter),
+        tied_values=derive_quantities(tied),
+        free_values=derive_quantities(free),
     )
     if free.chi2 > 1e4 * free.dof:  # 100 sigma off everywhere: this is another motion
         return "no collision of two rolling balls fits the tracks"
@@ -368,8 +377,7 @@ def _prefer_possible(pair: BallPair, tied: CollisionFit, worse: float = 10.0) ->
     """
 
     def is_possible(fit: CollisionFit) -> bool:
-        values = derive_from_tied(fit.parameters, fit.cov, pair.diameter, pair.spin)
-        return not find_impossible_values(values, 1.0, pair.settings.impossible_sigma)
+        return not find_impossible_values(derive_quantities(fit), 1.0, pair.settings.impossible_sigma)
 
     if is_possible(tied):
         return tied
@@ -419,9 +427,9 @@ def _without_slide_end(free: Floats, ball: int, left: float) -> Floats:
     return out
 
 
-def _free_to_tied(free: CollisionFit, tied: CollisionFit, diameter: float) -> Floats:
+def _free_to_tied(free: CollisionFit, tied: CollisionFit) -> Floats:
     """Tied parameters nearest to a free motion: its launch, the r, mu_k and C it implies, the spin of another fit."""
-    implied = dict(zip(QUANTITY_NAMES, derive_from_free(free.parameters, free.cov, diameter).value, strict=True))
+    implied = dict(zip(QUANTITY_NAMES, derive_quantities(free).value, strict=True))
     impact = [np.clip(implied["r"], 0, 1), np.log(np.clip(implied["mu_k"], 1e-3, 10)), np.clip(implied["C"], -0.5, 1)]
     spin = tied.parameters[TIED.index(SPIN[0]) : -len(TARGET)]
     return np.concatenate([free.parameters[:8], impact, spin, free.parameters[-len(TARGET) :]])

@@ -13,7 +13,7 @@ from scipy.ndimage import minimum_filter1d
 
 from tracker.measurement.collision.collision_model import AFTER, SPIN, TIED, compute_unit_vectors, tied_to_free
 from tracker.measurement.collision.least_squares import BallPair
-from tracker.measurement.positions import BallTrack
+from tracker.measurement.positions import BallTrack, measure_separation
 from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
@@ -109,8 +109,7 @@ def find_second_touch(candidate: ContactCandidate, diameter: float) -> int | Non
     Rolling balls whose restitution is under .4 do so, because the striker rolls on faster than the struck ball.
     """
     smoothed = 5  # frames, over which the separation is averaged
-    frames, one, two = np.intersect1d(candidate.one.frame, candidate.other.frame, return_indices=True)
-    apart = np.hypot(*(candidate.one.position[one] - candidate.other.position[two]).T)
+    frames, apart, one, two = measure_separation(candidate.one, candidate.other)
     late = frames > candidate.frame
     if late.sum() < 2 * smoothed:
         return None
@@ -145,10 +144,9 @@ def find_slow_contacts(balls: list[BallTrack], diameter: float, span: int = 40) 
     """Find contacts that noise hides from frame to frame: balls that approach, touch and part over `span` frames."""
     out = []
     for a, b in find_near_pairs(balls, diameter, 1.0):
-        frames, one, two = np.intersect1d(a.frame, b.frame, return_indices=True)
+        frames, apart, _, _ = measure_separation(a, b)
         if len(frames) < 12:
             continue
-        apart = np.hypot(*(a.position[one] - b.position[two]).T)
         noise = float(np.sqrt(np.trace(np.median(a.cov, axis=0) + np.median(b.cov, axis=0)) / 2))
         near = np.flatnonzero(apart < diameter + 2 * noise)
         if not len(near):
@@ -192,16 +190,12 @@ def fit_velocity(track: BallTrack) -> tuple[Floats, Floats, float]:
     return t @ track.position / spread, track.position.mean(axis=0), std
 
 
-def _before(track: BallTrack, frame: int, longest: int = 15) -> BallTrack:
-    """The last few positions before a frame; those older than `longest` frames do not show the contact."""
-    near = (track.frame < frame) & (track.frame >= frame - longest)
-    return track.where(near & (near[::-1].cumsum()[::-1] <= MAX_POSITIONS_OF_APPROACH))
-
-
-def _after(track: BallTrack, frame: int, longest: int = 15) -> BallTrack:
-    """The first few positions after a frame, as `_before`."""
-    near = (track.frame > frame) & (track.frame <= frame + longest)
-    return track.where(near & (near.cumsum() <= MAX_POSITIONS_OF_APPROACH))
+def _read_beside(track: BallTrack, frame: int, after: bool) -> BallTrack:
+    """The last few positions before a frame, or the first few after it; those 15 frames off do not show the contact."""
+    ahead = track.frame - frame if after else frame - track.frame
+    near = (ahead > 0) & (ahead <= 15)
+    count = near.cumsum() if after else near[::-1].cumsum()[::-1]
+    return track.where(near & (count <= MAX_POSITIONS_OF_APPROACH))
 
 
 def _contact_frames(a: BallTrack, b: BallTrack, diameter: float, steps: float) -> list[int]:
@@ -209,7 +203,8 @@ def _contact_frames(a: BallTrack, b: BallTrack, diameter: float, steps: float) -
     frames = np.arange(max(a.frame[0], b.frame[0]), min(a.frame[-1], b.frame[-1]) + 1)
     if len(frames) < 5:
         return []
-    apart = np.hypot(*(_interpolate(a, frames) - _interpolate(b, frames)).T)
+    one, two = (np.stack([np.interp(frames, c.frame, axis) for axis in c.position.T]) for c in (a, b))
+    apart = np.hypot(*(one - two))
     step = np.abs(np.diff(apart))
     found = []
     for k in np.flatnonzero(apart == minimum_filter1d(apart, 7, mode="nearest")):
@@ -219,10 +214,6 @@ def _contact_frames(a: BallTrack, b: BallTrack, diameter: float, steps: float) -
         if apart[k] < diameter * 1.01 + steps * reach and _changed_velocity(a, b, int(frames[k])):
             found.append(int(frames[k]))
     return found
-
-
-def _interpolate(track: BallTrack, frames: NDArray[np.int64]) -> Floats:
-    return np.column_stack([np.interp(frames, track.frame, track.position[:, axis]) for axis in (0, 1)])
 
 
 def _gap(track: BallTrack, frame: int) -> int:
@@ -235,7 +226,7 @@ def _gap(track: BallTrack, frame: int) -> int:
 def _changed_velocity(a: BallTrack, b: BallTrack, frame: int) -> bool:
     """Test whether the velocity of either ball changed there by more than noise and friction do."""
     for track in (a, b):
-        early, late = _before(track, frame), _after(track, frame)
+        early, late = (_read_beside(track, frame, after) for after in (False, True))
         if len(early) < 2 or len(late) < 2:
             continue
         (v, _, s), (w, _, q) = fit_velocity(early), fit_velocity(late)
@@ -246,7 +237,7 @@ def _changed_velocity(a: BallTrack, b: BallTrack, frame: int) -> bool:
 
 def _assign_roles(pair: BallPair, frame: int) -> Contact:
     """Make the faster ball before contact ball 2, and give the reason if a clip shows too little."""
-    early = [_before(c, frame) for _, c in pair.balls]
+    early = [_read_beside(track, frame, after=False) for _, track in pair.balls]
     if min(len(e) for e in early) < 2:
         return Contact(pair, frame, "the approach is not in view")
     speeds = [float(np.linalg.norm(fit_velocity(e)[0])) for e in early]
@@ -279,12 +270,9 @@ def _rest_start(track: BallTrack, frame: int, slow: float) -> int | None:
     return first
 
 
-def _shorten_rest(track: BallTrack, frame: int, longest: int = 150, same: float = 0.3) -> BallTrack:
-    """The ball without the part of a rest that is more than `longest` positions from the contact.
-
-    More of them add nothing, because their shared error is the limit. same: widths of a glint within which a ball is
-    seen that has not moved.
-    """
+def _shorten_rest(track: BallTrack, frame: int) -> BallTrack:
+    """The ball without the part of a rest that is far from the contact: its positions share the error that limits."""
+    longest, same = 150, 0.3  # positions that are kept; widths of a glint within which a ball has not moved
     if len(track) <= longest or track.width <= 0:
         return track
     keep = np.ones(len(track), dtype=bool)
@@ -342,7 +330,7 @@ def _rough_chi2(pair: BallPair, tied: Floats) -> Floats:
 
 def guess_launch(pair: BallPair, frame: int) -> list[float] | None:
     """Guess the first eight tied parameters and ball 1's velocity, from positions before a contact in `frame`."""
-    line, target = _before(pair.striker, frame), _before(pair.struck, frame)
+    line, target = (_read_beside(track, frame, after=False) for track in (pair.striker, pair.struck))
     if len(line) < 2 or len(target) < 1 + pair.target_moves:
         return None
     v, middle, _ = fit_velocity(line)

@@ -45,11 +45,12 @@ from tracker.measurement.collision.least_squares import (
     ROUGH_TOLERANCE,
     BallPair,
     CollisionFit,
+    PairResiduals,
     covariance,
     find_best_minimum,
 )
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
-from tracker.measurement.positions import BallTrack
+from tracker.measurement.positions import BallTrack, measure_separation
 from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
@@ -61,7 +62,7 @@ STRAIGHT = (*FREE[:8], "v1x", "v1y", "v2x", "v2y", *FREE[-2:])  # free motions w
 _TAU = [FREE.index("log_tau1"), FREE.index("log_tau2")]
 
 
-class LastingResiduals:
+class LastingResiduals(PairResiduals):
     """Residuals of two balls' positions outside a contact.
 
     The last two parameters are lengths: by how much the paths miss each other across the line of centres, and d.
@@ -70,20 +71,13 @@ class LastingResiduals:
     """
 
     def __init__(self, pair: BallPair, kind: str, friction: float | None = None) -> None:
-        self.pair, self.kind = pair, kind
-        every = {"tied": TIED, "free": FREE, "straight": STRAIGHT}[kind]
         held = pair.zero_parameters | ({"drag", "decel"} if kind == "straight" else set())
-        self.names = tuple(name for name in every if name not in held)
-        self.index, self.size = np.array([every.index(name) for name in self.names]), len(every)
+        super().__init__(pair, {"tied": TIED, "free": FREE, "straight": STRAIGHT}[kind], held)
+        self.kind = kind
         given = {} if friction is None else {"log_mu": (float(np.log(friction)), 0.25)}
         priors = [given.get(name, BROAD_PRIORS.get(name, (0.0, np.inf))) for name in self.names]
         self.prior = np.array([*(centre for centre, _ in priors), 0.0, pair.diameter])
-        self.weight = np.array([*(1 / width for _, width in priors), 200 / pair.diameter, 1 / pair.diameter])
-        tracks = [track for _, track in pair.balls]
-        self.ball = np.repeat([1, 2], [len(track) for track in tracks])
-        self.start = np.concatenate([track.start for track in tracks])
-        self.seen = np.concatenate([track.position for track in tracks])
-        self._last: tuple[bytes, Floats, Floats] | None = None
+        self.prior_weight = np.array([*(1 / width for _, width in priors), 200 / pair.diameter, 1 / pair.diameter])
 
     def to_free(self, x: NDArray[np.inexact]) -> NDArray[np.inexact]:
         """The free parameters (..., 22) of x (..., p)."""
@@ -118,31 +112,9 @@ class LastingResiduals:
         slope[..., -2] += across
         return position, slope
 
-    def __call__(self, x: Floats) -> tuple[Floats, Floats]:
-        """Residuals (2n + p,) and derivatives (2n + p, p), priors last; kept for the last x."""
-        key = x.tobytes()
-        if self._last is None or self._last[0] != key:
-            with np.errstate(all="ignore"):  # a long step may overflow
-                self._last = (key, *self._evaluate(x))
-        return self._last[1], self._last[2]
-
-    def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
+    def displace(self, x: Floats) -> tuple[Floats, Floats]:
         position, slope = self.predict(x, self.ball, self.start)
-        rows = np.concatenate([(position - self.seen)[None], np.moveaxis(slope, -1, 0)])
-        cut = len(self.pair.struck)
-        one, two = self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])
-        white = np.concatenate([one, two], axis=1)
-        residual = np.concatenate([white[0], (x - self.prior) * self.weight])
-        columns = np.concatenate([white[1:], np.diag(self.weight)], axis=1)
-        return np.clip(np.nan_to_num(residual, nan=1e9), -1e9, 1e9), np.nan_to_num(columns).T
-
-    def residual(self, x: Floats) -> Floats:
-        """Whitened residuals."""
-        return self(x)[0]
-
-    def slope(self, x: Floats) -> Floats:
-        """Derivatives of `residual`."""
-        return self(x)[1]
+        return position, np.moveaxis(slope, -1, 0)
 
 
 def time_before_crossing(
@@ -160,7 +132,7 @@ def delay_of_slides(
 
     closing, m/s; before: s from the touch to t_c. Until then friction is 2/7 of the push, so that half of this time
     counts. That is 7/2 mu g T^2/(pi^2 J) for a half sine. A push that rises straight from the start reaches the limit
-    earlier, one of Hertz later. Three quarters of it are taken, uncertain by the `delay_error` of `_effect_of_slides`.
+    earlier, one of Hertz later. Three quarters of it are taken.
     """
     lasts = before * (1 + r) / np.where(r.real > 0.1, r, 0.1)
     impulse = (1 + r) / 2 * closing
@@ -313,9 +285,7 @@ class LastingFit:
     def values(self) -> DerivedValues:
         """The quantities that it determines."""
         if self.problem.kind == "tied":
-            every, index = len(TIED), self.problem.index
-            tied, cov = np.zeros(every), np.zeros((every, every))
-            tied[index], cov[np.ix_(index, index)] = self.x[:-2], self.cov[:-2, :-2]
+            tied, cov = self.problem.whole(self.x[:-2]), self.problem.whole_cov(self.cov[:-2, :-2])
             found = derive_from_tied(tied, cov, self.diameter, self.problem.pair.spin)
         else:
             slope = self.slopes(self.at_touch)
@@ -339,32 +309,24 @@ class LastingFit:
             cov += np.outer(effect, effect)
         return replace(found, value=value, cov=cov)
 
-    def _effect_of_slides(
-        self, *, delay_error: float = 1.5, friction_shift: tuple[float, float] = (0.2, 0.12)
-    ) -> tuple[Floats, Floats]:
+    def _effect_of_slides(self) -> tuple[Floats, Floats]:
         """Shift of the quantities (20,) of a tied fit by slides that begin in the contact, and its error.
 
         The fit gives too much friction, by a share of (T/tau)^2, T the duration and tau the slide time of a head-on
-        hit. `friction_shift` is that share and its spread, read from seven simulated clips of five laws of the force.
-
-        delay_error: share of `delay_of_slides`, over the laws of the force.
-        friction_shift: of mu_k over (T/tau)^2, and its spread over the laws of the force.
+        hit. That share and its spread are read from seven simulated clips of five laws of the force.
         """
-        whole = np.zeros(self.problem.size)
-        whole[self.problem.index] = self.x[:-2]
+        share, spread = 0.2, 0.12
+        whole, at = self.problem.whole(self.x[:-2]), QUANTITY_NAMES.index
         before, after, _ = self.times(self.x)
         closing, mu = whole[5] * np.cos(whole[4]), np.exp(whole[9])
-        late = delay_error * delay_of_slides(closing, whole[8], whole[9], before)
+        late = 1.5 * delay_of_slides(closing, whole[8], whole[9], before)  # the most that any of the laws delays them
         slide = (1 + whole[8]) / 2 * whole[5] / (SLIP_RATE * mu * GRAVITY)
         square = min((before + after) / slide, 1.0) ** 2
         shift, effect = np.zeros(len(QUANTITY_NAMES)), np.zeros(len(QUANTITY_NAMES))
-        at = QUANTITY_NAMES.index
-        shift[at("mu_k")], effect[at("mu_k")] = (
-            share * square * mu for share in (-friction_shift[0], -friction_shift[1])
-        )
+        shift[at("mu_k")], effect[at("mu_k")] = -share * square * mu, -spread * square * mu
         effect[at("r")] = 2 * mu * GRAVITY * late / closing
         for ball, name in enumerate(("tau1", "tau2")):
-            effect[at(name)] = friction_shift[0] * square * np.exp(self.free[_TAU[ball]])
+            effect[at(name)] = share * square * np.exp(self.free[_TAU[ball]])
         return shift, effect
 
     def predict_left_out(self, rows: BallTrack, ball: int) -> tuple[Floats, Floats]:
@@ -392,19 +354,14 @@ def fit_lasting_contact(
     earlier: Mapping[int, EarlierHit],
     settings: FitSettings,
     least_sigma: float = MIN_SIGNIFICANCE,
-    *,
-    min_duration_frames: float = 0.25,
-    bend_significance: float = 3.5,
 ) -> LastingFits | str | None:
     """Fit a contact that lasts by the frames outside it, or an instantaneous one of balls that move straight after it.
 
     diameter in m, earlier as for `prepare_contact`. The contact lasts if the paths cross within one diameter by
     `least_sigma` standard errors. None if it does not and the balls slide after it, or if it is no collision. A reason
     if too few frames remain.
-
-    min_duration_frames: a shorter contact is as good as instantaneous.
-    bend_significance: standard errors by which the paths bend in a contact that lasts.
     """
+    min_duration_frames = 0.25  # a shorter contact is as good as instantaneous
     window = _frames_within(candidate, diameter)
     contact = prepare_contact(replace(candidate, frame=window[0]), diameter, earlier, settings)
     if contact.reason:
@@ -415,11 +372,16 @@ def fit_lasting_contact(
     found = _find_frames_in_contact(pair, window)
     if found is None or isinstance(found, str):
         return found
-    fit, window = _refine(found[0]), found[1]
-    outside = fit.problem.pair
+    rough, window = found
+    outside, kind = rough.problem.pair, rough.problem.kind
+    fit = LastingFit.to(outside, kind, [rough.x])
+    correlated = with_correlated_noise(replace(outside, diameter=float(fit.x[-1])), _as_free(fit))
+    if correlated is not None:
+        outside = replace(correlated, diameter=diameter)
+        fit = LastingFit.to(outside, kind, [fit.x])
     if compute_p_value(fit.chi2, fit.dof, outside.striker.noise_dof) < level:
         return None
-    is_straight = fit.problem.kind == "straight"
+    is_straight = kind == "straight"
     tied = fit if is_straight else LastingFit.to(outside, "tied", _tied_starts(fit))
     fits = [fit]
     if not is_straight and not compare_fits(tied, fit, outside.striker.noise_dof) < level:
@@ -428,16 +390,20 @@ def fit_lasting_contact(
     lasting = None
     step = float(np.median(np.diff(pair.striker.start)))
     if _sigmas_within(best) > least_sigma and fit.times(fit.x)[:2].sum() > min_duration_frames * step:
-        lasting = _measure_duration(best, pair, window, bend_significance)
+        lasting = _measure_duration(best, pair, window)
     elif not is_straight or abs(_sigmas_within(best)) > least_sigma:
-        return None if is_straight or _knows_friction(tied, settings) else _find_straight_alternative(fit, pair, level)
+        return (
+            None
+            if is_straight or shows_friction(tied.values(), settings)
+            else _find_straight_alternative(fit, pair, level)
+        )
     if is_straight:
         balanced = not _momentum_p(fit) < level
         if lasting is None and not balanced:
             return None
         return LastingFits(lasting, outside, fit, fit, (False, False), _may_hide_slide(fit), balanced)
     left = float(np.exp(fit.free[_TAU]).min()) - fit.times(fit.x)[1]  # of the slides once the balls have parted, s
-    hides = left < MIN_FRAMES * step or (not _knows_friction(tied, settings) and _may_hide_slide(tied))
+    hides = left < MIN_FRAMES * step or (not shows_friction(tied.values(), settings) and _may_hide_slide(tied))
     return LastingFits(lasting, outside, tied, fit, _slide_ends_seen(fit), hides)
 
 
@@ -459,25 +425,15 @@ def _find_frames_in_contact(pair: BallPair, window: tuple[int, int]) -> tuple[La
     return fit, window
 
 
-def _refine(rough: LastingFit) -> LastingFit:
-    """The fit to full accuracy, with correlated errors of positions where the residuals show them."""
-    pair, kind = rough.problem.pair, rough.problem.kind
-    fit = LastingFit.to(pair, kind, [rough.x])
-    correlated = with_correlated_noise(replace(pair, diameter=float(fit.x[-1])), _as_free(fit))
-    return fit if correlated is None else LastingFit.to(replace(correlated, diameter=pair.diameter), kind, [fit.x])
-
-
-def _measure_duration(
-    best: LastingFit, pair: BallPair, window: tuple[int, int], bend_significance: float
-) -> LastingContact:
+def _measure_duration(best: LastingFit, pair: BallPair, window: tuple[int, int]) -> LastingContact:
     """The duration of a contact by its best fit, and whether the frames left out show that the paths bend there."""
     before, after, _ = best.times(best.x)
     both = best.slopes(best.times)[:2].sum(axis=0)
     own = float(both @ best.cov @ both) * max(1.0, best.chi2 / best.dof)
     _, friction, _ = best.restitution(best.x)
     duration_std = float(np.hypot(np.sqrt(own), 0.15 * friction * (before + after)))
-    certain = _bend(best, pair, window) > bend_significance
-    return LastingContact(*window, float(before + after), duration_std, certain)
+    is_certain = _bend(best, pair, window) > 3.5  # standard errors
+    return LastingContact(*window, float(before + after), duration_std, is_certain)
 
 
 def _is_hopeless(pair: BallPair, frame: int, level: float) -> bool:
@@ -555,20 +511,15 @@ def _chi2_of_lines(pair: BallPair, first: int, last: int) -> float:
 def count_contact_frames(candidate: ContactCandidate, diameter: float) -> int:
     """Count the frames of a contact that lasts: balls are nearer than a diameter (m) by more than their noise."""
     one, two = candidate.one, candidate.other
-    frames, first, second = np.intersect1d(one.frame, two.frame, return_indices=True)
-    apart = np.hypot(*(one.position[first] - two.position[second]).T)
+    frames, apart, first, second = measure_separation(one, two)
     noise = np.sqrt(np.trace(one.cov[first] + two.cov[second], axis1=1, axis2=2) / 2)
-    near = (apart < diameter - 3 * noise) & (np.abs(frames - candidate.frame) < 100)
-    return int(near.sum())
+    return int(((apart < diameter - 3 * noise) & (np.abs(frames - candidate.frame) < 100)).sum())
 
 
 def _frames_within(candidate: ContactCandidate, diameter: float) -> tuple[int, int]:
     """First and last frame about a contact in which the balls are within a diameter; the frame itself if none."""
-    one, two = candidate.one, candidate.other
-    frames, first, second = np.intersect1d(one.frame, two.frame, return_indices=True)
-    apart = np.hypot(*(one.position[first] - two.position[second]).T)
-    at = int(np.argmin(np.abs(frames - candidate.frame)))
-    outside = np.flatnonzero(apart >= diameter)
+    frames, apart, _, _ = measure_separation(candidate.one, candidate.other)
+    at, outside = int(np.argmin(np.abs(frames - candidate.frame))), np.flatnonzero(apart >= diameter)
     begin = int(outside[outside < at].max(initial=-1)) + 1
     end = int(outside[outside > at].min(initial=len(frames))) - 1
     return int(frames[min(begin, at)]), int(frames[max(end, at)])
@@ -584,8 +535,9 @@ def _leave_out(pair: BallPair, first: int, last: int) -> BallPair | None:
     return replace(pair, struck=struck, striker=striker)
 
 
-def _guess(pair: BallPair, first: int, last: int, near: int = 8) -> list[Floats]:
+def _guess(pair: BallPair, first: int, last: int) -> list[Floats]:
     """Starts (p,) of a free fit: straight lines before and after, and several slide times."""
+    near, fitted = 8, LastingResiduals(pair, "free").index
 
     def line(track: BallTrack, rows: NDArray[np.bool_]) -> tuple[Floats, Floats]:
         part = track.where(rows)
@@ -609,12 +561,9 @@ def _guess(pair: BallPair, first: int, last: int, near: int = 8) -> list[Floats]
         return []
     ends = [fit_velocity(t.where(t.frame > max(last, t.frame[-1] - 3 * near)))[0] for _, t in pair.balls]
     base = [t_c, *(x1 + v1 * t_c), heading, beta, float(np.hypot(*launch)), 0.0, 0.0]
-    starts = []
-    for tau in (0.05, 0.015, 0.15):
-        free = np.array([*base, *w1, *ends[0], np.log(tau), *w2, *ends[1], np.log(tau), 0, 0, *v1])
-        names = LastingResiduals(pair, "free").index
-        starts.append(np.append(free[names], [0.0, np.hypot(*apart)]))
-    return starts
+    slides = np.log([0.05, 0.015, 0.15])
+    starts = (np.array([*base, *w1, *ends[0], log, *w2, *ends[1], log, 0, 0, *v1]) for log in slides)
+    return [np.append(free[fitted], [0.0, np.hypot(*apart)]) for free in starts]
 
 
 def _widen(fit: LastingFit, pair: BallPair, window: tuple[int, int]) -> tuple[int, int]:
@@ -633,11 +582,8 @@ def _widen(fit: LastingFit, pair: BallPair, window: tuple[int, int]) -> tuple[in
     for side in (-1, 1):
         square = 0.0
         for ball, track in fit.problem.pair.balls:
-            beside = track.where(
-                (track.frame < first) & (track.frame >= first - 2)
-                if side < 0
-                else (track.frame > last) & (track.frame <= last + 2)
-            )
+            ahead = first - track.frame if side < 0 else track.frame - last
+            beside = track.where((ahead > 0) & (ahead <= 2))
             if len(beside):
                 off, _ = fit.predict_left_out(beside, ball)
                 square += float(beside.whiten.distance(off).sum())
@@ -688,10 +634,10 @@ def _straighten(free: LastingFit, pair: BallPair) -> Floats:
     return np.append(whole[problem.index], free.x[-2:])
 
 
-def _knows_friction(tied: LastingFit, settings: FitSettings) -> bool:
-    """Test whether a tied fit determines the friction on the plate."""
-    values, mu = tied.values(), QUANTITY_NAMES.index("mu_k")
-    return bool(values.std[mu] < settings.max_relative_error * values.value[mu])
+def shows_friction(tied: DerivedValues, settings: FitSettings) -> bool:
+    """Test whether a tied fit of a contact determines the friction on the plate."""
+    mu = QUANTITY_NAMES.index("mu_k")
+    return bool(tied.std[mu] < settings.max_relative_error * tied.value[mu])
 
 
 def _find_straight_alternative(free: LastingFit, pair: BallPair, level: float) -> LastingFits | None:
@@ -735,12 +681,9 @@ def _tied_starts(free: LastingFit) -> list[Floats]:
     """Starts (p,) of the tied fit, from what a free fit implies."""
     index, values = LastingResiduals(free.problem.pair, "tied").index, free.values().value
     r, mu = (float(values[QUANTITY_NAMES.index(name)]) for name in ("r", "mu_k"))
-    starts = []
-    for c in (0.1, 0.35):
-        impact = [np.clip(r, 0.05, 1.0), np.log(np.clip(np.nan_to_num(mu), 1e-3, 1.0)), c]
-        whole = np.array([*free.free[:8], *impact, 0.0, 0.0, 0.0, *free.free[-2:]])
-        starts.append(np.append(whole[index], free.x[-2:]))
-    return starts
+    impact = np.clip(r, 0.05, 1.0), np.log(np.clip(np.nan_to_num(mu), 1e-3, 1.0))
+    whole = (np.array([*free.free[:8], *impact, c, 0.0, 0.0, 0.0, *free.free[-2:]]) for c in (0.1, 0.35))
+    return [np.append(one[index], free.x[-2:]) for one in whole]
 
 
 def _as_free(fit: LastingFit) -> CollisionFit:
@@ -753,11 +696,10 @@ def _as_free(fit: LastingFit) -> CollisionFit:
 def as_collision_fits(fits: LastingFits) -> tuple[CollisionFit, CollisionFit]:
     """Turn the fits of a lasting contact into a tied and a free fit; of straight lines the launch and r alone."""
     free, tied = _as_free(fits.free), fits.tied
-    parameters, cov = np.zeros(len(TIED)), np.zeros((len(TIED), len(TIED)))
     if tied.problem.kind == "tied":
-        index = tied.problem.index
-        parameters[index], cov[np.ix_(index, index)] = tied.x[:-2], tied.cov[:-2, :-2]
+        parameters, cov = tied.problem.whole(tied.x[:-2]), tied.problem.whole_cov(tied.cov[:-2, :-2])
     else:
+        parameters, cov = np.zeros(len(TIED)), np.zeros((len(TIED), len(TIED)))
         parameters[:8], parameters[-2:], cov[:8, :8] = free.parameters[:8], free.parameters[-2:], free.cov[:8, :8]
         parameters[8], parameters[9] = tied.restitution(tied.x)[0], np.log(1e-9)
     pair = replace(fits.pair, diameter=float(tied.x[-1]))

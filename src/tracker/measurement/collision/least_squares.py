@@ -7,7 +7,8 @@ then not reported.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -79,46 +80,41 @@ class BallPair:
         return len(self.struck) + len(self.striker)
 
 
-@dataclass(frozen=True)
-class CollisionFit:
-    """Best parameters of one motion, and how well it fits."""
+class PairResiduals(ABC):
+    """Residuals of two balls' positions from a motion, in units of their errors, and derivatives.
 
-    parameters: Floats  # (16,) or (22,)
-    cov: Floats  # zero for parameters that are held at zero
-    chi2: float  # of the data alone, without the prior
-    dof: int
-    pair: BallPair  # without the positions that were dropped as outliers
-    dropped: int = 0  # number of those positions
-    converged: bool = True
-
-
-class WhitenedResiduals:
-    """Residuals of the two balls' positions from a motion, in units of their errors, and derivatives.
-
-    x holds the fitted parameters: those of TIED or FREE that the pair does not hold at zero.
+    x holds the fitted parameters: those of `every` that are not held at zero.
     """
 
-    def __init__(self, pair: BallPair, tied: bool) -> None:
-        self.pair, self.tied = pair, tied
-        every = TIED if tied else FREE
-        self.names = tuple(name for name in every if name not in pair.zero_parameters)
+    prior: Floats  # (p,) centres of the parameters' priors
+    prior_weight: Floats
+
+    def __init__(self, pair: BallPair, every: tuple[str, ...], held: Collection[str]) -> None:
+        self.pair, self.size = pair, len(every)
+        self.names = tuple(name for name in every if name not in held)
         self.index = np.array([every.index(name) for name in self.names])
-        self.size = len(every)
-        centres = np.array([BROAD_PRIORS.get(name, (0.0, np.inf)) for name in self.names])
-        self.prior, self.prior_weight = centres[:, 0], 1.0 / centres[:, 1]
-        self.prior_slopes = np.diag(self.prior_weight)
         self._last: tuple[bytes, Floats, Floats] | None = None
-        ball_tracks = [track for _, track in pair.balls]
-        self.ball = np.repeat([1, 2], [len(track) for track in ball_tracks])
-        self.start = np.concatenate([track.start for track in ball_tracks])
-        self.seen = np.concatenate([track.position for track in ball_tracks])
+        tracks = [track for _, track in pair.balls]
+        self.ball = np.repeat([1, 2], [len(track) for track in tracks])
+        self.start = np.concatenate([track.start for track in tracks])
+        self.seen = np.concatenate([track.position for track in tracks])
+
+    @abstractmethod
+    def displace(self, x: Floats) -> tuple[Floats, Floats]:
+        """Positions (n, 2) of both balls, ball 1's first, and derivatives (p, n, 2)."""
 
     def __call__(self, x: Floats) -> tuple[Floats, Floats]:
         """Residuals (2n + p,) and derivatives (2n + p, p), priors last; kept for the last x."""
         key = x.tobytes()
         if self._last is None or self._last[0] != key:
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a long step may overflow
-                self._last = (key, *self._evaluate(x))
+            with np.errstate(all="ignore"):  # a long step may overflow
+                position, slopes = self.displace(x)
+                white = self.whiten(np.concatenate([(position - self.seen)[None], slopes]))
+                residual = np.concatenate([white[0], (x - self.prior) * self.prior_weight])
+                columns = np.concatenate([white[1:], np.diag(self.prior_weight)], axis=1)
+                if not (np.isfinite(residual).all() and np.isfinite(columns).all()):
+                    residual, columns = np.nan_to_num(residual, nan=1e9), np.nan_to_num(columns)
+                self._last = (key, np.clip(residual, -1e9, 1e9), columns.T)
         return self._last[1], self._last[2]
 
     def residual(self, x: Floats) -> Floats:
@@ -130,7 +126,7 @@ class WhitenedResiduals:
         return self(x)[1]
 
     def whole(self, x: Floats) -> Floats:
-        """All parameters (16,) or (22,) from the fitted ones (p,)."""
+        """All parameters from the fitted ones (p,)."""
         out = np.zeros(self.size)
         out[self.index] = x
         return out
@@ -141,28 +137,29 @@ class WhitenedResiduals:
         out[np.ix_(self.index, self.index)] = cov
         return out
 
-    def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
-        full = self.whole(x)
-        position, slope = self._path(full)
-        slopes = slope.transpose(2, 0, 1)
-        if self.tied:
-            by = tied_to_free_jacobian(full, self.pair.spin)[:, self.index]
-            slopes = (by.T @ slopes.reshape(len(slopes), -1)).reshape(-1, *position.shape)
-        else:
-            slopes = slopes[self.index]
-        rows = np.concatenate([(position - self.seen)[None], slopes])
-        white = self.whiten(rows)
-        residual = np.concatenate([white[0], (x - self.prior) * self.prior_weight])
-        columns = np.concatenate([white[1:], self.prior_slopes], axis=1)
-        if not (np.isfinite(residual).all() and np.isfinite(columns).all()):
-            residual, columns = np.nan_to_num(residual, nan=1e9), np.nan_to_num(columns)
-        return np.clip(residual, -1e9, 1e9), columns.T
-
     def whiten(self, rows: Floats) -> Floats:
         """Shifts (k, n, 2) of the positions, ball 1's first, in units of their errors, (k, 2n)."""
         cut = len(self.pair.struck)
-        one, two = self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])
-        return np.concatenate([one, two], axis=1)
+        return np.concatenate([self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])], axis=1)
+
+
+class WhitenedResiduals(PairResiduals):
+    """Residuals from a tied or a free motion: the fitted parameters are those that the pair does not hold at zero."""
+
+    def __init__(self, pair: BallPair, tied: bool) -> None:
+        super().__init__(pair, TIED if tied else FREE, pair.zero_parameters)
+        self.tied = tied
+        centres = np.array([BROAD_PRIORS.get(name, (0.0, np.inf)) for name in self.names])
+        self.prior, self.prior_weight = centres[:, 0], 1.0 / centres[:, 1]
+
+    def displace(self, x: Floats) -> tuple[Floats, Floats]:
+        full = self.whole(x)
+        position, slope = self._path(full)
+        slopes = slope.transpose(2, 0, 1)
+        if not self.tied:
+            return position, slopes[self.index]
+        by = tied_to_free_jacobian(full, self.pair.spin)[:, self.index]
+        return position, (by.T @ slopes.reshape(len(slopes), -1)).reshape(-1, *position.shape)
 
     def _path(self, full: Floats) -> tuple[Floats, Floats]:
         """Positions (n, 2) of both balls, ball 1's first, and derivatives (n, 2, 22) by the free parameters."""
@@ -175,6 +172,30 @@ class WhitenedResiduals:
         off, cut = self._path(self.whole(x))[0] - self.seen, len(self.pair.struck)
         one, two = self.pair.struck.whiten, self.pair.striker.whiten
         return np.concatenate([one.distance(off[:cut]), two.distance(off[cut:])])
+
+
+@dataclass(frozen=True)
+class CollisionFit:
+    """Best parameters of one motion, and how well it fits."""
+
+    parameters: Floats  # (16,) of a tied fit, or (22,) of a free one
+    cov: Floats  # zero for parameters that are held at zero
+    chi2: float  # of the data alone, without the prior
+    dof: int
+    pair: BallPair  # without the positions that were dropped as outliers
+    dropped: int = 0  # number of those positions
+    converged: bool = True
+
+    @property
+    def is_tied(self) -> bool:
+        """True if restitution, friction and spin transfer determine the motion after the hit."""
+        return len(self.parameters) == len(TIED)
+
+    def linearise(self) -> tuple[WhitenedResiduals, Floats, Floats, Floats]:
+        """The problem of the fit with residuals, derivatives and covariance of the fitted parameters at its minimum."""
+        problem = WhitenedResiduals(self.pair, self.is_tied)
+        fitted = problem.index
+        return problem, *problem(self.parameters[fitted]), self.cov[np.ix_(fitted, fitted)]
 
 
 class LeastSquaresProblem(Protocol):
@@ -221,14 +242,18 @@ def fit_motion(
     """
     problem = WhitenedResiduals(pair, tied)
     best, converged = find_best_minimum(problem, [start[problem.index] for start in starts], tolerance)
-    problem, dropped = (problem, 0) if whole else _drop_outliers(problem, best)
+    far = problem.distances(best) > pair.settings.outlier_sigma**2
+    dropped = 0 if whole or far.sum() > pair.settings.max_outlier_share * len(far) else int(far.sum())
     if dropped:
+        cut = len(pair.struck)
+        pair = replace(pair, struck=pair.struck.where(~far[:cut]), striker=pair.striker.where(~far[cut:]))
+        problem = WhitenedResiduals(pair, tied)
         best, converged = find_best_minimum(problem, [best], tolerance)
     best, converged = _try_across_frame_edge(problem, best, converged, tolerance)
     residual, rows = problem(best)
-    n = 2 * len(problem.pair)
+    n = 2 * len(pair)
     cov, chi2, dof = problem.whole_cov(covariance(rows)), float(residual[:n] @ residual[:n]), n - len(best)
-    return CollisionFit(problem.whole(best), cov, chi2, dof, problem.pair, dropped, converged)
+    return CollisionFit(problem.whole(best), cov, chi2, dof, pair, dropped, converged)
 
 
 def covariance(rows: Floats) -> Floats:
@@ -258,13 +283,3 @@ def _try_across_frame_edge(
     if 2 * half < (1 + 10 * ROUGH_TOLERANCE) * least and tolerance < ROUGH_TOLERANCE:
         found, half, fine = _descend(problem, found, tolerance)
     return (found, fine) if 2 * half < least else (best, converged)
-
-
-def _drop_outliers(problem: WhitenedResiduals, best: Floats) -> tuple[WhitenedResiduals, int]:
-    distance = problem.distances(best)
-    far = distance > problem.pair.settings.outlier_sigma**2
-    if not far.any() or far.sum() > problem.pair.settings.max_outlier_share * len(far):
-        return problem, 0
-    cut, pair = len(problem.pair.struck), problem.pair
-    kept = replace(pair, struck=pair.struck.where(~far[:cut]), striker=pair.striker.where(~far[cut:]))
-    return WhitenedResiduals(kept, problem.tied), int(far.sum())

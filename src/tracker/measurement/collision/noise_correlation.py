@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.collision.collision_model import FREE
-from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
+from tracker.measurement.collision.least_squares import BallPair, CollisionFit
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter, share_seen_by_scatter
 from tracker.measurement.noise.whitening import compute_innovations
 from tracker.measurement.positions import BallTrack
@@ -81,8 +81,7 @@ def variance_of_residuals(free: CollisionFit) -> float:
 
 def _neighbour_correlation(free: CollisionFit) -> tuple[float, float]:
     """Correlation of neighbouring residuals of a free fit, and the same in standard errors."""
-    problem = WhitenedResiduals(free.pair, False)
-    left = problem.residual(free.parameters[problem.index])[: 2 * len(free.pair)].reshape(-1, 2)
+    left = free.linearise()[1][: 2 * len(free.pair)].reshape(-1, 2)
     cut = len(free.pair.struck)
     products = np.concatenate([part[1:] * part[:-1] for part in (left[:cut], left[cut:])])
     rho = float(products.mean() / max(float((left**2).mean()), 1e-300))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.collision.contacts import fit_velocity
-from tracker.measurement.positions import BallTrack
+from tracker.measurement.positions import BallTrack, measure_separation
 
 Floats = NDArray[np.float64]
 MAX_DISTANCE = 1.02  # diameters
@@ -32,29 +32,17 @@ class StayingPair:
     bounces: bool  # whether they part first or in the end, so that this is no restitution
 
 
-def find_staying_pairs(
-    a: BallTrack,
-    b: BallTrack,
-    diameter: float,
-    *,
-    max_speed_share: float = 0.03,
-    min_frames: int = 10,
-    approach_frames: int = 8,
-    parting_sigma: float = 5.0,
-) -> Iterator[StayingPair]:
-    """Find where two balls meet and then keep their distance of about a diameter (m).
-
-    max_speed_share: speed at which balls that stay together may move apart, over the closing speed.
-    min_frames: for which they stay together.
-    approach_frames: frames before the touch that give the closing speed.
-    parting_sigma: standard errors of that speed from which on the balls part, as rolling ones do that touch twice. In
-    20 simulated and 6 real pairs with tape it was at most 2.5.
-    """
-    frames, one, two = np.intersect1d(a.frame, b.frame, return_indices=True)
+def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[StayingPair]:
+    """Find where two balls meet and then keep their distance of about a diameter (m)."""
+    max_speed_share = 0.03  # speed at which balls that stay together may move apart, over the closing speed
+    min_frames, approach_frames = 10, 8  # for which they stay together; before the touch, which give the closing speed
+    # Standard errors of that speed from which on the balls part, as rolling ones do that touch twice. In 20 simulated
+    # and 6 real pairs with tape it was at most 2.5.
+    parting_sigma = 5.0
+    frames, apart, mine, _ = measure_separation(a, b)
     if len(frames) < min_frames:
         return
-    way = a.position[one] - b.position[two]
-    time, apart = a.time[one], np.hypot(way[:, 0], way[:, 1])
+    time = a.time[mine]
     noise = float(np.sqrt(np.trace(np.median(a.cov, axis=0) + np.median(b.cov, axis=0)) / 2))
     depth = max((MAX_DISTANCE - 1) * diameter, diameter - float(apart.min()))  # tape swings out as far as in
     near = apart < diameter + depth + 3 * noise
@@ -63,15 +51,15 @@ def find_staying_pairs(
         early = np.arange(max(begin - approach_frames, 0), begin)
         if end - begin < min_frames or len(early) < 3:
             continue
-        closing, closing_std = _slope(time[early], apart[early], noise)
+        closing, closing_std = fit_slope(time[early], apart[early], noise)
         late = np.arange((begin + end) // 2, end)
-        parts = [_slope(time[rows], apart[rows], noise) for rows in (late, late[len(late) // 2 :])]
+        parts = [fit_slope(time[rows], apart[rows], noise) for rows in (late, late[len(late) // 2 :])]
         limit = max_speed_share * abs(closing)
         if closing > -5 * closing_std or any(std > limit or abs(v) > max(3 * std, limit) for v, std in parts):
             continue
         inside = begin + int(np.argmax(apart[begin:end] < diameter))
-        tracks = sorted((a, b), key=lambda t: float(np.hypot(*_approach(t, frames[early])[0])))
-        (v1, x1, s1), (v2, x2, s2) = (_approach(t, frames[early]) for t in tracks)
+        lines = [(track, *fit_velocity(track.where(np.isin(track.frame, frames[early])))) for track in (a, b)]
+        (struck, v1, x1, s1), (striker, v2, x2, s2) = sorted(lines, key=lambda line: float(np.hypot(*line[1])))
         launch, gap = v2 - v1, x1 - x2
         speed = float(np.hypot(*launch))
         offset = float(launch[1] * gap[0] - launch[0] * gap[1]) / (speed * diameter)
@@ -79,8 +67,8 @@ def find_staying_pairs(
         drift, drift_std = parts[0]
         leave = all(v > parting_sigma * std for v, std in parts)
         yield StayingPair(
-            struck=tracks[0],
-            striker=tracks[1],
+            struck=struck,
+            striker=striker,
             first=int(frames[inside]),
             last=int(frames[end - 1]),
             time=float(time[early].mean() + (apart[early].mean() - diameter) / abs(closing)),
@@ -93,14 +81,13 @@ def find_staying_pairs(
         )
 
 
-def bounces_first(excess: Floats, noise: float, *, smoothed_frames: int = 5) -> bool:
+def bounces_first(excess: Floats, noise: float) -> bool:
     """Decide whether balls that end up staying together part first, as rolling ones of r near .4 do.
 
     Tape swings out for as long as the balls were nearer than a diameter. Plate friction takes longer to stop balls that
     part, and their separation grows all the while. excess: of the separation over the diameter from the touch on, m.
-
-    smoothed_frames: over which the separation is averaged.
     """
+    smoothed_frames = 5  # over which the separation is averaged
     mean = np.convolve(excess, np.ones(3) / 3, "valid")
     within = int(np.argmax(mean > 0)) if (mean > 0).any() else len(mean)
     outside = excess[within:]
@@ -115,12 +102,8 @@ def bounces_first(excess: Floats, noise: float, *, smoothed_frames: int = 5) -> 
     return bool(rise > 4 * noise * np.sqrt(1 / smoothed_frames + 1 / first))
 
 
-def _approach(track: BallTrack, frames: NDArray[np.int64]) -> tuple[Floats, Floats, float]:
-    return fit_velocity(track.where(np.isin(track.frame, frames)))
-
-
-def _slope(time: Floats, apart: Floats, noise: float) -> tuple[float, float]:
-    """Slope of a straight line, its standard error by the noise or, if larger, the scatter."""
+def fit_slope(time: Floats, apart: Floats, noise: float) -> tuple[float, float]:
+    """Fit a straight line to distances (n,), m, of balls near a contact: slope, and its error by noise or scatter."""
     t = time - time.mean()
     slope = float(t @ apart / (t @ t))
     rms = float(np.sqrt(((apart - apart.mean() - slope * t) ** 2).sum() / max(len(t) - 2, 1)))

@@ -8,18 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.collision.adequacy import Flag
 from tracker.measurement.collision.collision_model import FREE, GRAVITY, SLIDING, SPIN, TIED
+from tracker.measurement.collision.contacts import Contact
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit
 from tracker.measurement.noise.position_noise import WINDOW_FRAMES, find_bent_windows
-
-if TYPE_CHECKING:
-    from tracker.measurement.collision.contacts import Contact
 
 Floats = NDArray[np.float64]
 MIN_POSITIONS_BEFORE_CONTACT = 5  # positions before the contact

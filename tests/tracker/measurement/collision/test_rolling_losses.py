@@ -12,9 +12,8 @@ from tracker.camera.camera import Camera
 from tracker.measurement import estimate
 from tracker.measurement.collision.adequacy import Flag
 from tracker.measurement.collision.collision_model import TIED
-from tracker.measurement.collision.departures import derive_quantities
+from tracker.measurement.collision.departures import compare_losses, derive_quantities
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.collision.rolling_losses import compare_losses
 from tracker.measurement.estimate import measure
 from tracker.settings import FitSettings
 
@@ -103,17 +102,17 @@ def test_losses_that_noise_makes_small_do_not_count_as_equal(monkeypatch):
 
     def compare(*given):
         (old,) = [compare_losses(*given)]
-        found.append((given[0], given[1], old))
+        found.append(given[0])
         return old
 
     monkeypatch.setattr(estimate, "compare_losses", compare)
     measure(follow_centres(clip, np.random.default_rng(1)), Camera.of(clip.camera_json), FitSettings(local_window_s=0))
-    fit, tied, _ = found[0]
+    fit = found[0]
     none = fit.parameters.copy()
     none[[TIED.index("drag"), TIED.index("decel")]] = 0.0
-    unsure = compare_losses(replace(fit, parameters=none), tied)
+    unsure = compare_losses(replace(fit, parameters=none))
     at = [TIED.index(name) for name in ("decel", "drag")]
-    slope = np.array([1.0, derive_quantities(fit, tied).value[QUANTITY_NAMES.index("v1f")]])
+    slope = np.array([1.0, derive_quantities(fit).value[QUANTITY_NAMES.index("v1f")]])
     std = np.sqrt(slope @ fit.cov[np.ix_(at, at)] @ slope)
     assert unsure.typical == pytest.approx(0.1 * std, rel=0.05)
 

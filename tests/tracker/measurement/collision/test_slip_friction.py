@@ -8,7 +8,7 @@ from benchmarks.regression.error_bars import SHAKEN, follow_centres
 from tracker.camera.camera import Camera
 from tracker.measurement import estimate
 from tracker.measurement.collision.adequacy import Flag
-from tracker.measurement.collision.slip_friction import find_slope_of_friction
+from tracker.measurement.collision.departures import find_slope_of_friction
 from tracker.measurement.estimate import measure
 from tracker.settings import FitSettings
 
@@ -26,9 +26,9 @@ def slopes(monkeypatch):
     """What the tied fits show of k."""
     found = []
 
-    def watch(fit, tied, *given):
-        one = find_slope_of_friction(fit, tied, *given)
-        if tied:
+    def watch(fit, *given):
+        one = find_slope_of_friction(fit, *given)
+        if fit.is_tied:
             found.append(one)
         return one
 
