@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tracker.camera.camera import Camera
+from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.collision_model import AFTER, tied_to_free
 from tracker.measurement.positions import BallTrack, to_ball_tracks
-
-if TYPE_CHECKING:
-    from tracker.camera.camera import Camera
-    from tracker.detection.link import Tracks
 
 Floats = NDArray[np.float64]
 BEFORE = ("u2ix", "u2iy", "side2i", "v1ix", "v1iy")  # columns of estimates: SPIN and TARGET of a tied motion

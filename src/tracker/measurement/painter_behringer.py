@@ -9,20 +9,17 @@ Source: Painter & Behringer 2000, sections III B and IV, with the frames that th
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.camera.camera import Camera
 from tracker.measurement.camera_errors import camera_errors
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import Contact
 from tracker.measurement.collision.derived import QUANTITY_NAMES, cross, dot
+from tracker.measurement.collision.lasting_contact import LastingContact
 from tracker.measurement.positions import BallTrack
-
-if TYPE_CHECKING:
-    from tracker.camera.camera import Camera
-    from tracker.measurement.collision.lasting_contact import LastingContact
 
 Floats = NDArray[np.float64]
 

@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from tracker.camera.camera import Camera
+from tracker.detection.link import Tracks
 from tracker.notes import Note, NoteKind
-
-if TYPE_CHECKING:
-    from tracker.camera.camera import Camera
-    from tracker.detection.link import Tracks
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

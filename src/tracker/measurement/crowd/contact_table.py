@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tracker.camera.camera import Camera
+from tracker.detection.link import Tracks
 from tracker.measurement.camera_errors import shared_effects
 from tracker.measurement.crowd.track_contacts import NO_BALL, TrackContact, find_track_contacts
 from tracker.measurement.local.local_columns import find_covariance
-from tracker.measurement.local.recommendation import COMPARED, LOCAL, NONE, SUFFIXES, find_recommended_suffix
+from tracker.measurement.local.recommendation import COMPARED, LOCAL, NONE, SUFFIXES, find_recommended_suffix, is_known
 from tracker.measurement.positions import to_ball_tracks
 from tracker.measurement.random_effects import RandomEffects, fit_random_effects
-
-if TYPE_CHECKING:
-    from tracker.camera.camera import Camera
-    from tracker.detection.link import Tracks
 
 Floats = NDArray[np.float64]
 DERIVED = ("v_n", "v_t", "mu_bb", "impulse", "energy", "energy_lost")  # of v0, b, r and s
@@ -41,46 +39,32 @@ def tabulate_contacts(tracks: Tracks, camera: Camera, rows: Sequence[Mapping[str
         return pd.DataFrame(columns=list(TABLE_COLUMNS))
     found = find_track_contacts(to_ball_tracks(tracks, camera), camera.ball_diameter, glides=camera.glides)
     out = [
-        {"contact": number} | _describe(contact) | _measure(_find_row(contact, rows, camera))
+        {"contact": number} | _describe(contact) | _measure(_find_row(contact, rows, 3.0 / camera.fps))
         for number, contact in enumerate(found)
     ]
     return pd.DataFrame(out, columns=list(TABLE_COLUMNS))
 
 
 def _describe(contact: TrackContact) -> dict[str, Any]:
-    return {
-        "t_s": contact.time,
-        "t_s_std": contact.time_std,
-        "kind": "wall" if contact.other == NO_BALL else "ball",
-        "particle1": contact.one,
-        "particle2": contact.other,
-        "x": contact.xy[0],
-        "y": contact.xy[1],
-        "nx": contact.normal[0],
-        "ny": contact.normal[1],
-        "kick": contact.kick,
-        "kick_std": contact.kick_std,
-        "confidence": contact.confidence,
-    }
+    kind, (x, y), (nx, ny) = "wall" if contact.other == NO_BALL else "ball", contact.xy, contact.normal
+    row = {"t_s": contact.time, "t_s_std": contact.time_std, "kind": kind}
+    row |= {"particle1": contact.one, "particle2": contact.other, "x": x, "y": y, "nx": nx, "ny": ny}
+    return row | {"kick": contact.kick, "kick_std": contact.kick_std, "confidence": contact.confidence}
 
 
 def _find_row(
-    contact: TrackContact, rows: Sequence[Mapping[str, Any]], camera: Camera, *, max_frames_apart: float = 3.0
+    contact: TrackContact, rows: Sequence[Mapping[str, Any]], most_apart_s: float
 ) -> Mapping[str, Any] | None:
-    """The row of estimates of a contact, by its balls and its time.
-
-    max_frames_apart: of a contact of the tracks and a row of the estimates that are the same.
-    """
-    own = {contact.one, contact.other}
+    """The row of estimates of a contact, by its balls and its time."""
     near = [
-        (abs(time - contact.time), row)
+        (abs(row[column] - contact.time), row)
         for row in rows
-        if {row["particle1"], row["particle2"]} == own
-        for time in (row.get("t_c"), row.get("t_c_local"))
-        if time is not None and np.isfinite(time)
+        if {row["particle1"], row["particle2"]} == {contact.one, contact.other}
+        for column in ("t_c", "t_c_local")
+        if is_known(row, column)
     ]
     best = min(near, key=lambda pair: pair[0], default=(np.inf, None))
-    return best[1] if best[0] < max_frames_apart / camera.fps else None
+    return best[1] if best[0] < most_apart_s else None
 
 
 def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -92,9 +76,8 @@ def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:
     if out["recommended"] == NONE:
         return out
     suffix = find_recommended_suffix(row)
-    value, std = (
-        np.array([_number(row.get(f"{name}{suffix}{end}")) for name in (*COMPARED, "mu_k")]) for end in ("", "_std")
-    )
+    columns = [f"{name}{suffix}" for name in (*COMPARED, "mu_k")]
+    value, std = (np.array([row.get(f"{c}{end}") for c in columns], dtype=np.float64) for end in ("", "_std"))
     out |= {"r": value[2], "r_std": std[2], "mu_k": value[4], "mu_k_std": std[4]}
     if not np.isfinite([value[:3], std[:3]]).all():
         return out
@@ -107,10 +90,6 @@ def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:
     if not has_s:
         del derived["mu_bb"]
     return out | {f"{n}{end}": v for n, pair in derived.items() for end, v in zip(("", "_std"), pair, strict=True)}
-
-
-def _number(value: Any) -> float:
-    return np.nan if value is None else float(value)
 
 
 def derive_with_errors(value: Floats, cov: Floats) -> tuple[list[float], list[float]]:
@@ -136,17 +115,15 @@ def _derive(values: Floats) -> Floats:
     return np.array([along, across, friction, (1 + r) * along / 2, v0**2 / 4, lost])
 
 
-def summarise_contacts(
-    table: pd.DataFrame, rows: Sequence[Mapping[str, Any]], *, least: int = 3, least_share: float = 0.1
-) -> dict[str, RandomEffects]:
+def summarise_contacts(table: pd.DataFrame, rows: Sequence[Mapping[str, Any]]) -> dict[str, RandomEffects]:
     """Summarise the table of all contacts of a film: random-effects means of r, mu_bb and mu_k.
 
     Contacts whose motion the local estimate does not describe are left out. Errors that contacts share, such as that of
     the friction of the plate, do not average out.
 
-    rows: the estimates of the film. least: contacts that a mean needs.
-    least_share: of the error of a contact that is its own.
+    rows: the estimates of the film.
     """
+    least, least_share = 3, 0.1  # contacts that a mean needs; of the error of a contact that is its own
     out, by_number = {}, {row["collision"]: row for row in rows}
     for name in SHARED:
         value, std = (table[f"{name}{end}"].to_numpy(float) for end in ("", "_std"))

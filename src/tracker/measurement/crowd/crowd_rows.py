@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from synthcam_shared.steps import report_step
+from tracker.camera.camera import Camera
 from tracker.camera.camera_json import BODIES
+from tracker.measurement.collision.adequacy import describe_failure
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import Contact, ContactCandidate, prepare_contact
 from tracker.measurement.crowd.track_contacts import TrackContact
@@ -19,9 +21,6 @@ from tracker.measurement.local.local_fit import MAY_ROLL
 from tracker.measurement.local.stretches import SLIDE_AND_ROLL
 from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
-
-if TYPE_CHECKING:
-    from tracker.camera.camera import Camera
 
 MU_K = LOCAL_NAMES.index("mu_k")
 SHORT_SLIDE = "other contacts of the film show the friction better"
@@ -38,7 +37,6 @@ def estimate_contacts(
     min_frictions: int = 5,
     most_frictions: int = 30,
     max_friction_error: float = 0.2,
-    film_friction_factor: float = 0.1,
     at_once: int = 100,
 ) -> list[tuple[Contact | None, LocalEstimate | str]]:
     """Estimate each contact of two balls: its two balls, and the local estimate or the reason why there is none.
@@ -48,9 +46,9 @@ def estimate_contacts(
     min_frictions: contacts that show the friction of the plate, from which on the others take it.
     most_frictions: contacts that are asked for it, those with the longest slides.
     max_friction_error: relative, of a contact that counts.
-    film_friction_factor: error of the logarithm of the friction that a film shows.
     at_once: contacts that are estimated together, which is quicker.
     """
+    film_friction_factor = 0.1  # error of the logarithm of the friction that a film shows
     tracks = {ball.particle: ball for ball in balls}
     known = camera
     if not camera.support and camera.body == BODIES["ball"]:
@@ -88,21 +86,15 @@ def estimate_contacts(
 
 
 def _share_friction(
-    estimate: LocalEstimate | str,
-    own: LocalEstimate | str,
-    settings: FitSettings,
-    error: float,
-    *,
-    slide_share: float = 0.3,
+    estimate: LocalEstimate | str, own: LocalEstimate | str, settings: FitSettings, error: float
 ) -> LocalEstimate | str:
     """The estimate with what a mean over contacts must know of the friction of the plate.
 
     All contacts share the error of the friction that they take as known; error: of its logarithm. They also share a
     part of their error because short slides are all modelled in one way. The friction of the estimate is that which its
     contact alone shows, so that a mean does not count the film's again.
-
-    slide_share: of the errors of r and mu_k that all contacts have in common, by benchmarks.tracker.crowd_contacts.
     """
+    slide_share = 0.3  # of the errors of r and mu_k that all contacts share, by benchmarks.tracker.crowd_contacts
     if isinstance(estimate, str) or estimate.glides:
         return estimate
     value, cov, response = estimate.value.copy(), estimate.cov.copy(), estimate.response.copy()
@@ -126,18 +118,10 @@ def _estimate_in_steps(
     tracks: Mapping[int, BallTrack],
     camera: Camera,
     settings: FitSettings,
-    *,
-    window_in_slides: float = 10.0,
-    min_window_s: float = 0.05,
-    slide_factor: float = 0.3,
 ) -> FitInSteps[tuple[Contact | None, LocalEstimate | str]]:
-    """The two balls of a contact, and its local estimate or the reason why there is none.
-
-    window_in_slides: durations of the slide after a contact, up to which its stretches reach.
-    min_window_s: the shortest such reach.
-    slide_factor: error of the logarithm of the duration of a slide by the kick, beyond that of the friction.
-    """
-    window = window_in_slides * _slide_duration(contact, settings)
+    """The two balls of a contact, and its local estimate or the reason why there is none."""
+    slide_factor = 0.3  # error of the logarithm of the duration of a slide by the kick, beyond that of the friction
+    window, min_window_s = 10.0 * _slide_duration(contact, settings), 0.05
     own = settings.model_copy(update={"local_window_s": float(np.clip(window, min_window_s, settings.local_window_s))})
     one, other = (_cut(tracks[n], contact, found, camera) for n in contact.balls)
     frame = round(float(np.interp(contact.time, tracks[contact.one].time, tracks[contact.one].frame)))
@@ -157,7 +141,7 @@ def _estimate_in_steps(
         striker = (SLIDE_AND_ROLL,) if any(sliding) else MAY_ROLL  # a short slide looks like a roll
         return prepared, (yield from estimate_in_steps(prepared, camera, (1.0, 1.0), slide, striker))
     except (ArithmeticError, ValueError, IndexError) as error:  # one contact never costs the others
-        return None, f"the fit failed: {(str(error).splitlines() or [type(error).__name__])[0][:80]}"
+        return None, describe_failure(error)
 
 
 def _slide_duration(contact: TrackContact, settings: FitSettings) -> float:
@@ -174,15 +158,10 @@ def _seen_slide(contact: TrackContact, found: Sequence[TrackContact], settings: 
     return min(_slide_duration(contact, settings), max(later) - contact.time)
 
 
-def _still_slides(
-    particle: int, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings, *, margin: float = 1.5
-) -> bool:
-    """Decide whether a ball may still slide from its contact before this one.
-
-    margin: factor on the duration of a slide, within which a ball may still slide.
-    """
+def _still_slides(particle: int, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings) -> bool:
+    """Decide whether a ball may still slide from its contact before this one."""
     before = [c for c in found if particle in c.balls and c.time < contact.time]
-    return bool(before) and contact.time - before[-1].time < margin * _slide_duration(before[-1], settings)
+    return bool(before) and contact.time - before[-1].time < 1.5 * _slide_duration(before[-1], settings)
 
 
 def _cut(track: BallTrack, contact: TrackContact, found: Sequence[TrackContact], camera: Camera) -> BallTrack:

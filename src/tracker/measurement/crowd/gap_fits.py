@@ -19,19 +19,14 @@ SLIDE_ERROR = 0.2  # relative, of either component of the way that an earlier sl
 
 
 class GapSettings(Protocol):
-    """Settings of the fits of gaps."""
+    """Settings of the fits of gaps: those of `track_contacts.ContactFinderSettings`."""
 
     @property
-    def curvature(self) -> float:
-        """Of a path, rms, m/s^2."""
-
+    def curvature(self) -> float: ...
     @property
-    def spin_transfer(self) -> float:
-        """Share of the relative speed of the surfaces that a contact gives to a spin."""
-
+    def spin_transfer(self) -> float: ...
     @property
-    def least_positions(self) -> int:
-        """Of a path."""
+    def least_positions(self) -> int: ...
 
 
 class ConsecutivePositions(NamedTuple):
@@ -46,9 +41,7 @@ class ConsecutivePositions(NamedTuple):
     def between(self, low: float, high: float) -> ConsecutivePositions:
         """The positions in frames after `low` and before `high`."""
         rows = slice(*np.searchsorted(self.frame, (np.floor(low) + 1, np.ceil(high))))
-        return ConsecutivePositions(
-            self.particle, self.frame[rows], self.time[rows], self.position[rows], self.variance[rows]
-        )
+        return ConsecutivePositions(self.particle, *(values[rows] for values in self[1:]))
 
 
 class Slides(NamedTuple):
@@ -271,20 +264,12 @@ class TouchDistance(NamedTuple):
     std: float
 
 
-def fit_gaps(
-    gaps: ContactGaps,
-    settings: GapSettings,
-    touch: TouchDistance,
-    exposure: float,
-    *,
-    steps_in_gap: int = 8,
-    turns: int = 2,
-) -> ContactFits:
+def fit_gaps(gaps: ContactGaps, settings: GapSettings, touch: TouchDistance, exposure: float) -> ContactFits:
     """Fit the best instant of a contact in each gap, without the gaps in which a ball has too few positions.
 
-    exposure: s. steps_in_gap: instants between two frames that are tried. turns: each with slides from the instant of
-    the last.
+    exposure: s.
     """
+    steps_in_gap = 8  # instants between two frames that are tried
     gaps, has_before, has_after = _take_usable(gaps, settings.least_positions)
     both = has_before & has_after
     first = gaps.time.min(axis=-1, where=gaps.before | gaps.after, initial=np.inf)
@@ -309,13 +294,11 @@ def fit_gaps(
     )
     times = np.linspace(gaps.low, gaps.high, steps_in_gap + 1, axis=-1)  # (m, steps)
     at, slips = np.zeros(len(times)), np.zeros_like(gaps.position[:, :, 0])
-    for _ in range(turns if gaps.slides.decel else 1):
+    for _ in range(2 if gaps.slides.decel else 1):  # each with slides from the instant of the last
         for _ in range(2 if gaps.slides.decel else 0):  # the kick and the slide depend on one another
             slips = _predict_slips(before, after, (has_before, has_after), at, settings.spin_transfer)
             known = np.all(np.isfinite(slips), axis=-1)
-            slide = Slides(
-                np.broadcast_to(at[:, None], known.shape), np.where(known[..., None], slips, 0.0), none.decel
-            )
+            slide = Slides(np.broadcast_to(at[:, None], known.shape), slips, none.decel).where(known)
             moved = gaps.position + slide.shape(gaps.time)[..., None] * slide.direction[..., None, :]
             after = after.replace_where(known, fit(gaps.after, none, moved))
         cost, places = _compare_paths(before, after, (has_before, has_after), times, touch)

@@ -8,7 +8,7 @@ better than one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -27,7 +27,7 @@ from tracker.measurement.crowd.gap_fits import (
     fit_gaps,
     gather_gaps,
 )
-from tracker.measurement.positions import BallTrack
+from tracker.measurement.positions import BallTrack, measure_separation
 from tracker.measurement.stretch_cuts import StretchCutter, measure_path_noise
 
 Floats = NDArray[np.float64]
@@ -173,14 +173,18 @@ def find_track_contacts(
     noise = measure_path_noise([(ball.frame, ball.position) for ball in balls])
     kinks = {ball.particle: _find_kinks(ball, noise) for ball in balls}
     by_number = {ball.particle: ball for ball in balls}
-    frame_s, same = _frame_duration(balls), settings.same_frames
+    frame_s = _frame_duration(balls)
     pairs = [
         (one, other, frame)
         for one, other in find_near_pairs(list(balls), diameter, 1.0)
         for frame in _find_approaches(one, other, diameter, settings)
     ]
     events = {n: [*at.tolist(), *(f for a, b, f in pairs if n in (a.particle, b.particle))] for n, at in kinks.items()}
-    rows = {ball.particle: _to_rows(ball) for ball in balls}
+    variances = [np.asarray(np.trace(ball.cov, axis1=1, axis2=2) / 2) for ball in balls]
+    rows = {
+        ball.particle: ConsecutivePositions(ball.particle, ball.frame, ball.time, ball.position, variance)
+        for ball, variance in zip(balls, variances, strict=True)
+    }
     film = _Film(rows, balls[0].exposure if balls else 0.0, frame_s, diameter, settings, events)
     found = list[TrackContact]()
     for turn in range(settings.turns):  # each with better instants of the contacts before and after
@@ -190,17 +194,16 @@ def find_track_contacts(
         for contact in sorted(tried, key=lambda contact: -contact.gain):
             if not _is_explained(contact, found, frame_s, settings):
                 found.append(contact)
-        film.events = {n: _list_events(by_number[n], kinks[n], found, settings) for n in kinks}
+        happened = {n: _list_events(by_number[n], kinks[n], found, settings.vague_frames) for n in kinks}
+        film.events = {n: [*own, *free] for n, (own, free) in happened.items()}
         if settings.friction and film.settings.curvature > settings.known_curvature and turn < settings.turns - 1:
             film.settings = _fit_friction(found, by_number, film)
         film.note_slides(found)
         centres = {(c.one, c.other): c for c in found}
         pairs = [(one, other, _refine(one, other, frame, centres, settings)) for one, other, frame in pairs]
     walls = list[tuple[tuple[int, ...], float]]()
-    for ball in balls:
-        own = [float(np.interp(c.time, ball.time, ball.frame)) for c in found if ball.particle in c.balls]
-        free = (f for f in kinks[ball.particle].tolist() if min((abs(at - f) for at in own), default=np.inf) > same)
-        walls += [((ball.particle,), frame) for frame in free]
+    for n, ball in by_number.items():
+        walls += [((n,), frame) for frame in _list_events(ball, kinks[n], found, settings.same_frames)[1]]
     found += _examine(walls, settings.other_frames, film)
     return _widen_errors(_find_partners(found, balls, diameter, frame_s, settings), frame_s, settings)
 
@@ -227,33 +230,18 @@ def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], fi
         chi2, dof = own.fit(own.gather(parts, gaps)).chi2, 2 * (settings.positions + settings.positions_after)
         return float((dof / 2 * np.log1p(chi2 / dof)).sum())
 
+    def minimise(price: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
+        return float(minimize_scalar(price, bounds=(low, high), method="bounded", options={"xatol": tolerance}).x)
+
     start = ContactFinderSettings()
-    friction = float(
-        minimize_scalar(
-            lambda mu: misfit(mu, start.spin_transfer) + (np.log(mu / start.friction) / np.log(2)) ** 2 / 2,
-            bounds=(start.friction / 8, start.friction * 4),
-            method="bounded",
-            options={"xatol": 0.01},
-        ).x
-    )
-    transfer = float(
-        minimize_scalar(
-            lambda c: misfit(friction, c) + ((c - start.spin_transfer) / start.spin_transfer) ** 2 / 2,
-            bounds=(0.0, MAX_SPIN_TRANSFER),
-            method="bounded",
-            options={"xatol": 0.04},
-        ).x
-    )
+    mu, c = start.friction, start.spin_transfer
+    friction = minimise(lambda x: misfit(x, c) + (np.log(x / mu) / np.log(2)) ** 2 / 2, mu / 8, mu * 4, 0.01)
+    transfer = minimise(lambda x: misfit(friction, x) + ((x - c) / c) ** 2 / 2, 0.0, MAX_SPIN_TRANSFER, 0.04)
+    found_settings = replace(settings, friction=friction, spin_transfer=transfer)
     worse = misfit(friction, transfer) - misfit(friction, transfer, start.curvature)
     if worse > settings.most_worse * len(best):  # other forces bend the paths
-        return replace(settings, friction=friction, spin_transfer=transfer)
-    return replace(
-        settings,
-        friction=friction,
-        spin_transfer=transfer,
-        curvature=settings.known_curvature,
-        slide_share=settings.known_slide_share,
-    )
+        return found_settings
+    return replace(found_settings, curvature=settings.known_curvature, slide_share=settings.known_slide_share)
 
 
 def _widen_errors(found: Sequence[TrackContact], frame_s: float, settings: ContactFinderSettings) -> list[TrackContact]:
@@ -318,12 +306,11 @@ def _find_partners(
 
 
 def _list_events(
-    ball: BallTrack, kinks: Floats, found: Sequence[TrackContact], settings: ContactFinderSettings
-) -> list[float]:
-    """Frames, with parts of them, of what happened to a ball: its contacts, and kinks that none explains."""
+    ball: BallTrack, kinks: Floats, found: Sequence[TrackContact], apart: float
+) -> tuple[list[float], list[float]]:
+    """Frames, with parts of them, of the contacts of a ball, and of its kinks that are `apart` from these or more."""
     own = [float(np.interp(c.time, ball.time, ball.frame)) for c in found if ball.particle in c.balls]
-    free = [at for at in kinks.tolist() if min((abs(at - f) for f in own), default=np.inf) > settings.vague_frames]
-    return [*own, *free]
+    return own, [at for at in kinks.tolist() if min((abs(at - f) for f in own), default=np.inf) > apart]
 
 
 def _refine(
@@ -352,10 +339,9 @@ def _find_kinks(ball: BallTrack, noise: float) -> Floats:
 
 def _find_approaches(one: BallTrack, other: BallTrack, diameter: float, settings: ContactFinderSettings) -> list[float]:
     """Frames at which two balls are nearest to one another, and near enough to touch."""
-    frames, mine, its = np.intersect1d(one.frame, other.frame, return_indices=True)
+    frames, apart, _, _ = measure_separation(one, other)
     if len(frames) < 2 * settings.least_positions:
         return []
-    apart = np.hypot(*(one.position[mine] - other.position[its]).T)
     step = np.abs(np.diff(apart))
     reach = np.maximum(np.append(step, 0.0), np.append(0.0, step))
     least = (apart <= np.append(apart[1:], np.inf)) & (apart < np.append(np.inf, apart[:-1]))
@@ -398,11 +384,6 @@ def _examine_batch(candidates: Sequence[tuple[tuple[int, ...], float]], away: fl
     return out
 
 
-def _to_rows(ball: BallTrack) -> ConsecutivePositions:
-    variance = np.asarray(np.trace(ball.cov, axis1=1, axis2=2) / 2)
-    return ConsecutivePositions(ball.particle, ball.frame, ball.time, ball.position, variance)
-
-
 def _weigh_gaps(fits: ContactFits) -> ContactFits:
     """The best of the fits of several gaps, with the error of an instant that may lie in another of them."""
     best = fits.take(int(np.argmin(fits.chi2)))
@@ -430,29 +411,16 @@ def _judge(
             return None
         normal, place = normal / apart, found.places.mean(axis=0)
         kicks = np.array([turn[0] @ normal, -turn[1] @ normal])  # equal, if the balls are
-        kick, error = (
-            float(np.nanmean(kicks)),
-            float(np.sqrt(np.nanmean(found.velocity_std**2) / np.isfinite(kicks).sum())),
-        )
+        kick = float(np.nanmean(kicks))
+        error = float(np.sqrt(np.nanmean(found.velocity_std**2) / np.isfinite(kicks).sum()))
         approach = float((found.before[0] - found.before[1]) @ normal)
         if approach > settings.least_impulse_sigma * error or not kick > settings.least_impulse_sigma * error:
             return None
     if settings.friction:
         error = float(np.hypot(error, settings.slide_share * kick))
     other = pair[1] if len(pair) == 2 else NO_BALL
-    return TrackContact(
-        float(found.time),
-        float(found.time_std),
-        pair[0],
-        other,
-        place,
-        normal,
-        kick,
-        error,
-        gain,
-        confidence,
-        found.slips,
-    )
+    when, when_std = float(found.time), float(found.time_std)
+    return TrackContact(when, when_std, pair[0], other, place, normal, kick, error, gain, confidence, found.slips)
 
 
 def _is_explained(

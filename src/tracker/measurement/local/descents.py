@@ -351,7 +351,7 @@ class ProblemStack:
         between the bodies adds. That of a ball that slid is all but unknown.
         """
         one = self.one
-        before = one.find_before(k)
+        before = one.find_stretch(one.stretches[k].ball, after=False)
         at, from_ = one.start[k], one.start[before]
         moved, now = one.motions[before].moves, x[:, at + 2 : at + 4]
         old = x[:, from_ + 2 : from_ + 4] if moved else np.zeros_like(now)

@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from tracker.measurement.collision.adequacy import CROWD
 from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES, VELOCITIES, LocalEstimate
-from tracker.measurement.local.recommendation import COMPARED, recommend
+from tracker.measurement.local.recommendation import COMPARED, is_known, recommend
 from tracker.settings import FitSettings
 
 Floats = NDArray[np.float64]
@@ -57,8 +57,7 @@ def make_empty_columns() -> dict[str, Any]:
     for column in COLUMNS:
         row[column] = row[f"{column}_std"] = np.nan
     row |= {"chi2_local": np.nan, "dof_local": np.nan, "misfit_local": False, "motion_local": "", "local": "{}"}
-    row |= {"local_bias": np.nan, "local_error_n": np.nan, "local_error_t": np.nan}
-    row |= {"local_factor": np.nan, "local_hits": 0}
+    row |= dict.fromkeys(("local_bias", "local_error_n", "local_error_t", "local_factor"), np.nan) | {"local_hits": 0}
     return row | {"local_shared": "{}", "recommended": "none", "why": ""}
 
 
@@ -70,9 +69,8 @@ def make_local_columns(
     A text is the reason why there is none. foreign: why the tied fit is not one of these bodies, "" if it is.
     """
     if isinstance(estimate, str):
-        return make_empty_columns() | {
-            "local": json.dumps({"reason": estimate, "foreign": foreign}, separators=(",", ":"))
-        }
+        local = json.dumps({"reason": estimate, "foreign": foreign}, separators=(",", ":"))
+        return make_empty_columns() | {"local": local}
     settings = settings or FitSettings()
     excess = max(estimate.chi2 / estimate.dof - 1 - 3 * np.sqrt(2 / max(estimate.dof, 1.0)), 0.0)
     prior = settings.local_velocity_error
@@ -85,7 +83,7 @@ def make_local_columns(
         "r_std": _rounded(estimate.std[[LOCAL_NAMES.index("r")]])[0],
         "response": [_rounded(line) for line in estimate.response],
         "cov": [_rounded(line) for line in estimate.cov[np.ix_(_COMPARED, _COMPARED)]],
-        "shared": dict(_name_effects(key, of, effect) for key, (of, effect) in estimate.shared.items()),
+        "shared": _name_effects(estimate.shared),
         "v0": float(estimate.value[LOCAL_NAMES.index("v0")]),
         "vn": estimate.normal_speed,
         "prior": prior,
@@ -114,18 +112,20 @@ def _rounded(values: Floats) -> list[float | None]:
     return [float(f"{v:.9g}") if np.isfinite(v) else None for v in values]
 
 
-def _name_effects(key: str, of: float, effect: Floats) -> tuple[str, dict[str, Any]]:
-    return key, {"of": of, "effect": {n: v for n, v in zip(LOCAL_NAMES, _rounded(effect), strict=True) if v}}
+def _name_effects(shared: Mapping[str, tuple[float, Floats]]) -> dict[str, dict[str, Any]]:
+    """Errors that several hits share as JSON, by key: the value, and the effects of one standard error by quantity."""
+    return {
+        key: {"of": of, "effect": {n: v for n, v in zip(LOCAL_NAMES, _rounded(effect), strict=True) if v}}
+        for key, (of, effect) in shared.items()
+    }
 
 
-def apply_errors(row: Mapping[str, Any], errors: LocalErrors, *, min_obliqueness: float = 5.0) -> dict[str, Any]:
+def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
     """Compute the local columns of a row with these errors beyond the residuals.
 
     A bias of the balance may be an error of a velocity along n, a loss of momentum, or unknown masses. So it counts as
     an error: that of each velocity in turn, in proportion to its weight in the balance. So does the error of the bias:
     a mean of many hits is no more certain than their balance.
-
-    min_obliqueness: errors of the impact parameter, from which on s is reported.
     """
     raw = json.loads(row.get("local", "{}"))
     if "value" not in raw:
@@ -136,8 +136,10 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, *, min_obliqueness
     common = _list_common_errors(row, errors, response, by_mass[:, 0])
     fixed, widened = _split_variances(raw)
     by_residuals = fixed + errors.factor**2 * widened
-    wide = np.sqrt(by_residuals + ((response * size) ** 2).sum(axis=1) + sum(effect**2 for _, _, effect in common))
-    shared = raw["shared"] | dict(_name_effects(*one) for one in common)
+    wide = np.sqrt(
+        by_residuals + ((response * size) ** 2).sum(axis=1) + sum(effect**2 for _, effect in common.values())
+    )
+    shared = raw["shared"] | _name_effects(common)
     role = _role(row)
     value = value + by_mass[:, 0] * role * errors.log_ratio
     if errors.log_ratio_std > 0:  # all hits have one ratio, and its error is the only one
@@ -150,7 +152,7 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, *, min_obliqueness
                 effect["mass_ratio"] = float(role * wide[at])
             shared[key] = block | {"effect": effect}
     b, s = (LOCAL_NAMES.index(name) for name in "bs")
-    if not abs(value[b]) > min_obliqueness * wide[b]:  # s is a ratio by b
+    if not abs(value[b]) > 5.0 * wide[b]:  # s is a ratio by b
         value[s] = np.nan
     out = dict[str, Any]()
     for k, (name, column) in enumerate(zip(LOCAL_NAMES, COLUMNS, strict=True)):
@@ -166,10 +168,9 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors, *, min_obliqueness
 def _split_variances(raw: Mapping[str, Any]) -> tuple[Floats, Floats]:
     """Split variances (n,) by residuals and camera into what the factor does not widen, and what it does.
 
-    It widens the part that velocities make without the errors of the camera. Older results do not have that part.
+    It widens the part that velocities make without the errors of the camera.
     """
-    keys = ("std", "velocity_std" if "velocity_std" in raw else "std")
-    std, of_velocities = (np.array(raw[key], dtype=np.float64) for key in keys)
+    std, of_velocities = (np.array(raw[key], dtype=np.float64) for key in ("std", "velocity_std"))
     effects = np.array([[block["effect"].get(name, 0.0) for name in LOCAL_NAMES] for block in raw["shared"].values()])
     of_camera = (np.reshape(effects, (-1, len(std))) ** 2).sum(axis=0)
     widened = np.clip(of_velocities**2 - of_camera, 0.0, std**2)
@@ -196,19 +197,19 @@ def find_covariance(row: Mapping[str, Any]) -> Floats:
 
 def _list_common_errors(
     row: Mapping[str, Any], errors: LocalErrors, response: Floats, by_mass: Floats
-) -> list[tuple[str, float, Floats]]:
-    """List the errors that all hits of a set have in common: key, value, and effect (n,) of one standard error.
+) -> dict[str, tuple[float, Floats]]:
+    """The errors that all hits of a set have in common, by key: value, and effect (n,) of one standard error.
 
     They are the bias, which may be that of each velocity along n, and the ratio of the masses.
     """
     weights = response[LOCAL_NAMES.index("balance_n")] * np.tile([1.0, 0.0], 4)
-    total, out = float(weights @ weights), []
+    total, out = float(weights @ weights), {}
     size = float(np.hypot(errors.bias_n, errors.bias_std))
     if size and total > 0:
         unit = size * json.loads(row["local"])["vn"] / np.sqrt(total)
-        out = [(f"bias_{VELOCITIES[at][:3]}", errors.bias_n, response[:, at] * unit) for at in np.flatnonzero(weights)]
+        out = {f"bias_{VELOCITIES[k][:3]}": (errors.bias_n, response[:, k] * unit) for k in np.flatnonzero(weights)}
     if errors.log_ratio_std > 0:
-        out.append(("mass_ratio", errors.log_ratio, by_mass * _role(row) * errors.log_ratio_std))
+        out["mass_ratio"] = (errors.log_ratio, by_mass * _role(row) * errors.log_ratio_std)
     return out
 
 
@@ -217,7 +218,7 @@ def _role(row: Mapping[str, Any]) -> float:
     return 1.0 if row.get("particle1", 0) < row.get("particle2", 1) else -1.0
 
 
-def calibrate_rows(rows: Sequence[Mapping[str, Any]], *, least_gain: float = 4.5) -> LocalErrors | None:
+def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     """Fit the errors beyond the residuals to the balance of momentum of all hits of a set; None of too few hits.
 
     The biases and the ratio of masses are the likeliest. The errors are means over all that fit, because the likeliest
@@ -225,10 +226,8 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], *, least_gain: float = 4.5
 
     If the masses are unknown and each of two bodies strikes the other a few times, their ratio is fitted too. Recoil
     from either side distinguishes it from a bias. It counts if it makes the balances likelier by 3 standard errors.
-
-    least_gain: of the logarithm of the probability by the ratio, half the square of 3 errors.
     """
-    usable = [row for row in rows if _is_known(row.get("r_local"))]
+    usable = [row for row in rows if is_known(row, "r_local")]
     if len(usable) < MIN_HITS:
         return None
     found = [json.loads(row["local"]) for row in usable]
@@ -238,7 +237,7 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], *, least_gain: float = 4.5
     best, price = balances.fit(levers)
     if recoil:
         without, price_without = balances.fit(levers[:, :1])
-        if price > price_without - least_gain:
+        if price > price_without - 3.0**2 / 2:
             best, levers, recoil = without, levers[:, :1], []
     logs, excess = balances.average(levers, best)
     doubt = np.sqrt(np.diag(np.linalg.inv((levers / balances.find_variance(logs, excess)[:, :1]).T @ levers)))
@@ -288,17 +287,9 @@ class _Balances(NamedTuple):
         """Variances (..., hits, 2); logs: of both errors over v0; excess: of the errors of residuals, over them."""
         return np.asarray(self.fixed + (1 + excess**2) * self.widened + (np.exp(logs) * self.spread) ** 2)
 
-    def weigh(
-        self,
-        logs: Floats,
-        excess: Floats,
-        levers: Floats,
-        lever_sizes: Floats,
-        *,
-        odd_share: float = 0.05,
-        odd_size: float = 0.3,
-    ) -> Floats:
+    def weigh(self, logs: Floats, excess: Floats, levers: Floats, lever_sizes: Floats) -> Floats:
         """Logarithms (..., 2) of the probabilities of the balances along n and t, with those of what is known."""
+        odd_share, odd_size = 0.05, 0.3
         var = self.find_variance(logs, excess)
         square = (self.off - np.column_stack([levers @ lever_sizes, 0 * self.v0])) ** 2
         well, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, var + (odd_size * self.v0[:, None]) ** 2))
@@ -306,7 +297,7 @@ class _Balances(NamedTuple):
         known = ((logs - self.usual) / PRIOR_WIDTH) ** 2 + (excess / USUAL_EXCESS) ** 2 / 2
         return np.asarray(likelihood - 0.5 * known[..., 0, :])
 
-    def fit(self, levers: Floats, *, most_evaluations: int = 4000) -> tuple[Floats, float]:
+    def fit(self, levers: Floats) -> tuple[Floats, float]:
         """The likeliest sizes of the levers, and the negative logarithm of their probability."""
 
         def price(x: Floats) -> float:
@@ -317,23 +308,16 @@ class _Balances(NamedTuple):
         starts = [np.append([np.log(error), np.log(error), 0.5], zeros) for error in (0.003, 0.03)]
         sizes = np.append([0.5, 0.5, 0.5], zeros + 0.02)
         simplex = np.vstack([0 * sizes, np.diag(sizes)])
-        tries = (
-            minimize(
-                price,
-                x,
-                method="Nelder-Mead",
-                options={"initial_simplex": simplex + x, "maxfev": most_evaluations},
-            )
-            for x in starts
-        )
+        options = [{"initial_simplex": simplex + x, "maxfev": 4000} for x in starts]
+        tries = (minimize(price, x, method="Nelder-Mead", options=o) for x, o in zip(starts, options, strict=True))
         best = min(tries, key=lambda m: float(m.fun))
         return np.asarray(best.x[3:], dtype=np.float64), float(best.fun)
 
-    def average(self, levers: Floats, lever_sizes: Floats, *, zooms: int = 4) -> tuple[Floats, float]:
+    def average(self, levers: Floats, lever_sizes: Floats) -> tuple[Floats, float]:
         """The means of the logarithms of both errors, and the root mean square of the excess, over all that fit."""
         low, high = (self.usual + np.array([-self.usual, k, k]) for k in (-6 * PRIOR_WIDTH, 6 * PRIOR_WIDTH))
         high[0] = 4 * USUAL_EXCESS
-        for _ in range(zooms):
+        for _ in range(4):  # each time nearer to all that fits
             grid = np.linspace(low, high, 25)
             logs, excess = grid[:, None, 1:], grid[:, None, None, None, 0]
             part = self.weigh(logs, excess, levers, lever_sizes)  # (excess, logs, 2)
@@ -350,23 +334,15 @@ class _Balances(NamedTuple):
         return (chance * grid).sum(axis=0)[1:], float(np.sqrt(chance[:, 0] @ grid[:, 0] ** 2))
 
 
-def _recoil_by_mass(
-    rows: Sequence[Mapping[str, Any]], found: Sequence[Any], by_mass: Floats, *, min_strikes: int = 3
-) -> list[Floats]:
-    """The derivative of each balance along n by the logarithm of the mass ratio, if the ratio is to be fitted.
-
-    min_strikes: of each body, from which on the ratio of their masses is fitted.
-    """
+def _recoil_by_mass(rows: Sequence[Mapping[str, Any]], found: Sequence[Any], by_mass: Floats) -> list[Floats]:
+    """The derivative of each balance along n by the logarithm of the mass ratio, if the ratio is to be fitted."""
     pairs = [(row.get("particle1", -1), row.get("particle2", -1)) for row in rows]
     strikers = [pair[1] for pair in pairs]
     two = len({frozenset(pair) for pair in pairs}) == 1 and -1 not in pairs[0]
     crowd = any(row.get("status") == CROWD for row in rows)  # its tracks are other balls in the next clip
-    if any(raw["masses_known"] for raw in found) or not two or crowd:
+    if any(raw["masses_known"] for raw in found) or not two or crowd or min(map(strikers.count, pairs[0])) < 3:
         return []
-    if min(strikers.count(k) for k in pairs[0]) < min_strikes:
-        return []
-    roles = np.array([1.0 if one < other else -1.0 for one, other in pairs])
-    return [by_mass * roles]
+    return [by_mass * [_role(row) for row in rows]]
 
 
 def calibrate_set(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -376,7 +352,3 @@ def calibrate_set(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         return [dict(row) for row in rows]
     changed = (dict(row) | apply_errors(row, errors) for row in rows)
     return [row | recommend(row) if row.get("local", "{}") != "{}" else row for row in changed]
-
-
-def _is_known(value: Any) -> bool:
-    return value is not None and bool(np.isfinite(value))

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.camera.camera import Camera
 from tracker.measurement.camera_errors import CameraError, WarpError, camera_errors
 from tracker.measurement.collision.adequacy import compute_p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, GRAVITY
 from tracker.measurement.collision.contacts import Contact, guess_launch
 from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_each_ball, dot, make_ball_average
+from tracker.measurement.collision.staying_together import fit_slope
 from tracker.measurement.local.descents import FitInSteps, follow_displacements, run_alone
 from tracker.measurement.local.local_fit import (
     MAY_ROLL,
@@ -27,9 +28,7 @@ from tracker.measurement.local.local_fit import (
 )
 from tracker.measurement.local.local_problem import LocalPriors, LocalSolution
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, cut_stretch
-
-if TYPE_CHECKING:
-    from tracker.camera.camera import Camera
+from tracker.measurement.positions import measure_separation
 
 Floats = NDArray[np.float64]
 MIN_POSITIONS = 3  # of each stretch
@@ -104,6 +103,9 @@ def estimate_in_steps(
     )
     if slide is not None:
         known = replace(known, slide_s=slide[0], slide_factor=slide[1])
+    on_plate = False in glides
+    simple_after = (SLIDE, SLIDE_AND_ROLL) if on_plate else (SLIDE,)
+    simple_before = (ROLL, *simple_after) if on_plate else (SLIDE,)
     instant = _guess_instant(contact, camera)
     if _stay_together(contact, instant):
         return "the bodies stay together after the hit"
@@ -112,7 +114,9 @@ def estimate_in_steps(
         if min(map(len, whole)) < MIN_POSITIONS:
             return "too few positions near the contact"
         stretches = [
-            s if rests and (s.ball, s.after) == (1, False) else choose_window(s, instant, _simple_motions(s, glides))
+            s
+            if rests and (s.ball, s.after) == (1, False)
+            else choose_window(s, instant, simple_after if s.after else simple_before)
             for s in whole
         ]
         priors = _allow_for_duration(known, stretches, contact, camera)
@@ -128,37 +132,24 @@ def estimate_in_steps(
     return _read_values(found[0], mixture, contact, camera, masses)
 
 
-def _stay_together(contact: Contact, instant: float, *, least_positions: int = 10, least_r: float = 0.05) -> bool:
+def _stay_together(contact: Contact, instant: float) -> bool:
     """Decide whether bodies stay together after the hit, as those with tape do: no free motion shows r then.
 
     Tape gives way at first. So the later two thirds of the positions count. There the bodies part by less than
     `least_r` of the speed of approach, within two errors. Their distance never changes by a tenth of a diameter.
     """
+    least_positions, least_r = 10, 0.05
     (_, one), (_, other) = contact.pair.balls
-    _, mine, its = np.intersect1d(one.frame, other.frame, return_indices=True)
-    since, distance = one.time[mine] - instant, np.hypot(*(one.position[mine] - other.position[its]).T)
+    _, distance, mine, _ = measure_separation(one, other)
+    since = one.time[mine] - instant
     window = np.abs(since) < contact.pair.settings.local_window_s
     before, after = window & (since < 0), window & (since > 0)
     if after.sum() < least_positions or before.sum() < MIN_POSITIONS:
         return False
     late = after & (since > since[after].max() / 3)
-    (approach, _), (parting, error) = (_fit_speed(since[rows], distance[rows]) for rows in (before, late))
+    (approach, _), (parting, error) = (fit_slope(since[rows], distance[rows], 0.0) for rows in (before, late))
     steady = np.ptp(distance[after]) < 0.1 * contact.pair.diameter
     return bool(steady and abs(parting) + 2 * error < least_r * abs(approach))
-
-
-def _fit_speed(time: Floats, distance: Floats) -> tuple[float, float]:
-    """Slope of a straight line through distances (n,), and its standard error by their scatter."""
-    since = time - time.mean()
-    spread = float(since @ since)
-    slope = float(since @ distance) / spread
-    left = distance - distance.mean() - slope * since
-    return slope, float(np.sqrt(left @ left / max(len(time) - 2, 1) / spread))
-
-
-def _simple_motions(stretch: Stretch, glides: Collection[bool]) -> tuple[MotionKind, ...]:
-    cloth = (SLIDE, SLIDE_AND_ROLL) if stretch.after else (ROLL, SLIDE, SLIDE_AND_ROLL)
-    return cloth if False in glides else (SLIDE,)
 
 
 def _allow_for_duration(
@@ -214,6 +205,7 @@ def _read_values(
     value = weights @ each
     off = np.nan_to_num(each - value) * np.sqrt(weights)[:, None]
     v0, b = (value[LOCAL_NAMES.index(name)] for name in ("v0", "b"))
+    shared = zip(_list_errors(camera), np.tensordot(weights, effects, 1), strict=True)
     return LocalEstimate(
         value=value,
         cov=np.tensordot(weights, covs, 1) + off.T @ off,
@@ -225,20 +217,15 @@ def _read_values(
         glides=solutions[0][1].problem.glide,
         unseen=frozenset(name for _, one in solutions for name in _list_unseen(one)),
         errors_known=bool(np.isinf(noise_dof)),
-        shared={
-            error.key: (error.value, effect)
-            for error, effect in zip(_list_errors(camera), np.tensordot(weights, effects, 1), strict=True)
-        },
+        shared={error.key: (error.value, effect) for error, effect in shared},
     )
 
 
 def _read_solutions(
-    solutions: Sequence[LocalSolution], camera: Camera, masses: tuple[float, float], *, mass_step: float = 1e-4
+    solutions: Sequence[LocalSolution], camera: Camera, masses: tuple[float, float]
 ) -> list[tuple[Floats, Floats, Floats, Floats]]:
-    """Values of solutions of one hit, their covariances, responses, and effects (k, n) of errors of the camera file.
-
-    mass_step: of the logarithm of the mass ratio, for derivatives.
-    """
+    """Values of solutions of one hit, their covariances, responses, and effects (k, n) of errors of the camera file."""
+    mass_step = 1e-4  # of the logarithm of the mass ratio, for derivatives
     out = dict[int, tuple[Floats, Floats, Floats, Floats]]()
     numbers = sorted(range(len(solutions)), key=lambda i: solutions[i].problem.motions)
     for _, same in groupby(numbers, key=lambda i: solutions[i].problem.motions):
@@ -267,13 +254,12 @@ def _propagate_errors(
     problem, x = solution.problem, solution.x
     normal = x[1:3] - x[3:5]
     normal = normal / np.hypot(*normal)
-    axes = (normal, np.array([-normal[1], normal[0]]))
     shifts = np.zeros((len(x), 8))
-    for i, side in enumerate(SIDES):
-        k = next(k for k, s in enumerate(problem.stretches) if (s.ball, s.after) == side)
-        for axis, unit in enumerate(axes):
-            if problem.motions[k].moves:
-                shifts[problem.start[k] + 2 : problem.start[k] + 4, 2 * i + axis] = unit
+    for i, (ball, after) in enumerate(SIDES):
+        k = problem.find_stretch(ball, after)
+        if problem.motions[k].moves:
+            own = slice(problem.start[k] + 2, problem.start[k] + 4)
+            shifts[own, 2 * i], shifts[own, 2 * i + 1] = normal, (-normal[1], normal[0])
     unknown = ~(np.isfinite(value) & np.isfinite(slope).all(axis=1))
     slope[unknown] = 0.0
     merge = make_ball_average(slope @ solution.cov @ slope.T)
@@ -329,10 +315,10 @@ def _list_unseen(solution: LocalSolution) -> list[str]:
     return out
 
 
-def _velocity(solution: LocalSolution, x: Floats, side: tuple[int, bool]) -> Floats:
+def _velocity(solution: LocalSolution, x: Floats, ball: int, after: bool) -> Floats:
     """Velocities (m, 2) at the contact, of parameters (m, n)."""
     problem = solution.problem
-    k = next(k for k, s in enumerate(problem.stretches) if (s.ball, s.after) == side)
+    k = problem.find_stretch(ball, after)
     at = problem.start[k]
     if not problem.motions[k].moves:
         return np.zeros((len(x), 2))
@@ -352,7 +338,7 @@ def _slide(solution: LocalSolution, x: Floats, k: int) -> tuple[Floats, Floats]:
 def _quantities(solution: LocalSolution, x: Floats, masses: tuple[float, float]) -> Floats:
     """Quantities (m, 34) of parameters (m, n): those of each ball (`make_ball_average`) and the rest of LOCAL_NAMES."""
     problem, (m1, m2) = solution.problem, np.array(masses) / np.mean(masses)
-    v1i, v2i, v1o, v2o = velocities = [_velocity(solution, x, side) for side in SIDES]
+    v1i, v2i, v1o, v2o = velocities = [_velocity(solution, x, ball, after) for ball, after in SIDES]
     normal = x[:, 1:3] - x[:, 3:5]
     normal = normal / np.hypot(normal[:, 0], normal[:, 1])[:, None]
     tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
@@ -364,8 +350,7 @@ def _quantities(solution: LocalSolution, x: Floats, masses: tuple[float, float])
     free[:, 0], free[:, 1:3], free[:, 3] = x[:, 0], x[:, 1:3], heading
     free[:, 4], free[:, 5], free[:, -2:] = np.arcsin(np.clip(sine, -1, 1)), v0, v1i
     for ball, v in ((1, v1o), (2, v2o)):
-        k = next(k for k, s in enumerate(problem.stretches) if (s.ball, s.after) == (ball, True))
-        to = AFTER[ball]
+        k, to = problem.find_stretch(ball, after=True), AFTER[ball]
         tau, pull = _slide(solution, x, k) if problem.slides_first(k) else (np.ones(len(x)), np.zeros((len(x), 2)))
         free[:, to : to + 2], free[:, to + 2 : to + 4], free[:, to + 4] = v, v + tau[:, None] * pull, np.log(tau)
     each = derive_from_each_ball(free, problem.priors.diameter, 0.0, (float(m1), float(m2)))

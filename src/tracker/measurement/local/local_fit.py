@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 MAY_ROLL = ROLL, SLIDE_AND_ROLL, SLIDE  # motions of a striking ball before the contact
 MAX_RESIDUAL = 2.0  # rms residual of a window, in errors
 MAX_SOLUTIONS = 16  # that are averaged
+LEAST_WEIGHT = 0.01  # of those, over the weight of the best
 MAX_COST = 16.0  # beyond that of the best duration of a slide
 ROUGH_GAIN = 0.01  # of the cost, with which a descent ends whose solution is solved again
 
@@ -35,16 +36,16 @@ class StretchFit:
     dof: float  # degrees of freedom of chi2
 
 
-def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, zooms: int = 3) -> StretchFit:
+def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind) -> StretchFit:
     """Fit one stretch of a local fit alone, over a few durations of the slide, and again about the best of them."""
     span = float(np.abs(stretch.time - contact).max())
-    taus = np.geomspace(span / 40, 1.5 * span, 12)
-    costs, fits, left = _fit_each(stretch, contact, motion, taus)
-    best = _find_first_best(costs)
-    for _ in range(zooms if motion.ends else 0):
-        taus = np.geomspace(taus[max(best - 1, 0)], taus[min(best + 1, len(taus) - 1)], 7)
+    taus, best = np.geomspace(span / 40, 1.5 * span, 12), 0
+    for turn in range(4 if motion.ends else 1):
+        if turn:
+            taus = np.geomspace(taus[max(best - 1, 0)], taus[min(best + 1, len(taus) - 1)], 7)
         costs, fits, left = _fit_each(stretch, contact, motion, taus)
-        best = _find_first_best(costs)
+        # the first of the least costs: slides that outlast a stretch all cost the same, but for rounding
+        best = int(np.argmax(costs <= costs.min() * (1 + 1e-9)))
     out, plain = np.zeros(motion.size), fits.shape[1] - motion.rolls
     out[: 2 * plain] = fits[best, :plain].ravel()
     if motion.ends:
@@ -54,11 +55,6 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, zoo
     counted = ~stretch.near
     chi2 = float((stretch.far.whiten(left[best][counted]) ** 2).sum()) if counted.any() else 0.0
     return StretchFit(out, chi2, max(2 * int(counted.sum()) - motion.size, 1))
-
-
-def _find_first_best(costs: Floats, *, same: float = 1e-9) -> int:
-    """Find the first of the least costs. Slides that outlast a stretch all cost the same, but for rounding."""
-    return int(np.argmax(costs <= costs.min() * (1 + same)))
 
 
 def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) -> tuple[Floats, Floats, Floats]:
@@ -99,7 +95,7 @@ def correlation_factor(left: Floats) -> float:
     return (1 + rho) / (1 - rho)
 
 
-def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind], least: int = 5) -> Stretch:
+def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind]) -> Stretch:
     """Shorten a stretch to the longest window that the local fit describes within MAX_RESIDUAL standard errors.
 
     Any force that the motions lack raises the residuals of a window that shows it. The rule does not look at the error
@@ -109,7 +105,7 @@ def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind
     ahead, tried = np.abs(stretch.time - contact), list[tuple[Stretch, float]]()
     for share in (1.0, 0.63, 0.4, 0.25, 0.16, 0.1):
         keep = ahead <= share * float(ahead.max(initial=0.0)) * 1.0001
-        if int(keep.sum()) < min(least, len(stretch)):
+        if int(keep.sum()) < min(5, len(stretch)):
             break
         window = stretch.where(keep)
         fits = (fit_single_stretch(window, contact, m) for m in motions if 2 * len(window) > m.size)
@@ -122,7 +118,6 @@ def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind
 
 def guess_contact(stretches: Sequence[Stretch], contact: float) -> float:
     """Guess the contact for the local fit: where straight lines before and after it meet best in time."""
-    shift, turn = np.zeros(2), np.zeros(2)
     top = bottom = 0.0
     for ball in (1, 2):
         lines = {s.after: _line(s, contact) for s in stretches if s.ball == ball}
@@ -133,8 +128,8 @@ def guess_contact(stretches: Sequence[Stretch], contact: float) -> float:
     return contact + (top / bottom if bottom > 0 else 0.0)
 
 
-def _line(stretch: Stretch, contact: float, most: int = 6) -> tuple[Floats, Floats]:
-    rows = slice(0, most) if stretch.after else slice(-most, None)
+def _line(stretch: Stretch, contact: float) -> tuple[Floats, Floats]:
+    rows = slice(0, 6) if stretch.after else slice(-6, None)
     t, x = stretch.time[rows] - contact, stretch.position[rows]
     if len(t) < 2 or np.ptp(t) == 0:
         return x.mean(axis=0), np.zeros(2)
@@ -221,14 +216,13 @@ def _try_other_starts(solution: LocalSolution) -> FitInSteps[LocalSolution]:
     return min([solution, *tries], key=lambda one: one.cost)
 
 
-def weigh_by_residuals(
-    found: Sequence[LocalSolution], known: bool, shared: float = 8.0
-) -> FitInSteps[list[LocalSolution]]:
+def weigh_by_residuals(found: Sequence[LocalSolution], known: bool) -> FitInSteps[list[LocalSolution]]:
     """Solve local fits again with errors as large and as lasting as the residuals of each stretch; best first.
 
-    known: errors are claimed, and are never smaller than that. shared: degrees of freedom with which the mean of all
-    stretches counts in each. A body at rest takes the mean, because recorders round or drop its positions.
+    known: errors are claimed, and are never smaller than that. A body at rest takes the mean of all stretches, because
+    recorders round or drop its positions.
     """
+    shared = 8.0  # degrees of freedom with which that mean counts in each stretch
     solution = found[0]
     if known and solution.is_good:
         return [solution]
@@ -257,11 +251,11 @@ def weigh_by_residuals(
     return sorted((one for [one] in again), key=lambda s: -s.log_evidence)
 
 
-def shows_end(solution: LocalSolution, k: int, *, least_positions: int = 4, least_sigma: float = 10.0) -> bool:
+def shows_end(solution: LocalSolution, k: int) -> bool:
     """Decide whether a local fit shows when the slide of a stretch ends.
 
-    The part next to the contact holds `least_positions`. If the slide filled the stretch, one end of it would be off
-    by `least_sigma` of its errors. The duration is known to a fifth.
+    The part next to the contact holds four positions. If the slide filled the stretch, one end of it would be off
+    by ten of its errors. The duration is known to a fifth.
     """
     problem, stretch, at = solution.problem, solution.problem.stretches[k], solution.problem.start[k]
     tau = float(np.exp(solution.x[at + 6]))
@@ -270,15 +264,11 @@ def shows_end(solution: LocalSolution, k: int, *, least_positions: int = 4, leas
     off = float(np.hypot(*problem.values(solution.x, k)[4:6])) * max(rolls_s, 0.0) ** 2 / 2
     error = float(np.median(stretch.std)) * solution.sizes[k]
     held = int((~stretch.near & (since < tau)).sum())
-    return held >= least_positions and off > least_sigma * error and bool(solution.cov[at + 6, at + 6] < 0.2**2)
+    return held >= 4 and off > 10.0 * error and bool(solution.cov[at + 6, at + 6] < 0.2**2)
 
 
 def mix_solutions(
-    found: Sequence[LocalSolution],
-    *,
-    shifts: Sequence[float] = (0.1, 0.3, 1.0),
-    durations: int = 6,
-    least_weight: float = 0.01,
+    found: Sequence[LocalSolution], *, durations: int = 6
 ) -> FitInSteps[list[tuple[float, LocalSolution]]]:
     """Weigh the solutions of local fits by their evidence: motions of the stretches and durations of their slides.
 
@@ -287,33 +277,26 @@ def mix_solutions(
     duration in turn, with its evidence times its prior. Before a contact that is the duration of rolling. The distance
     by which a body may be elsewhere after the contact gets each of `shifts` in turn, over the prior one.
     """
+    shifts = [0.1, 0.3, 1.0]
     best = max(one.log_evidence for one in found)
     mixture = list[tuple[float, LocalSolution]]()
     for one in found:
         if one.log_evidence < best - 7:  # its slides may fit better with another duration
             continue
-        shifted = yield from _solve_with_shifts(one, shifts)
-        parts = _drop_unlikely([(0.0, each) for each in shifted], least_weight)
         usual = one.problem.priors.shift_share
+        priors = [replace(one.problem.priors, shift_share=share * usual) for share in shifts]
+        problems = [replace(one.problem, priors=each) for each in priors]
+        [shifted] = yield [Descent(problems, np.tile(one.x, (len(problems), 1)), one.sizes, steps=8)]
+        parts = _drop_unlikely([(0.0, each) for each in shifted])
         shifts = [each.problem.priors.shift_share / usual for _, each in parts]  # the next motions have the same
         for k, motion in enumerate(one.problem.motions):
             if motion.ends and not shows_end(one, k):
                 may_slide_on = not any(other.problem.motions[k] == SLIDE for other in found)
-                varied = yield from _vary_each_slide(parts, k, durations, least_weight, may_slide_on)
-                parts = _drop_unlikely(varied, least_weight)
+                parts = _drop_unlikely((yield from _vary_each_slide(parts, k, durations, may_slide_on)))
         mixture += parts
-    mixture = _drop_unlikely(mixture, least_weight)
+    mixture = _drop_unlikely(mixture)
     weights = np.exp([_log_weight(part) - _log_weight(mixture[0]) for part in mixture])
     return [(float(w), one) for w, (_, one) in zip(weights / weights.sum(), mixture, strict=True)]
-
-
-def _solve_with_shifts(solution: LocalSolution, shares: Sequence[float]) -> FitInSteps[list[LocalSolution]]:
-    """Solve again with other distances by which a body may be elsewhere after the contact."""
-    problem, usual = solution.problem, solution.problem.priors
-    priors = [replace(usual, shift_share=share * usual.shift_share) for share in shares]
-    problems = [replace(problem, priors=each) for each in priors]
-    [found] = yield [Descent(problems, np.tile(solution.x, (len(problems), 1)), solution.sizes, steps=8)]
-    return found
 
 
 def _log_weight(part: tuple[float, LocalSolution]) -> float:
@@ -321,31 +304,26 @@ def _log_weight(part: tuple[float, LocalSolution]) -> float:
     return part[0] + part[1].log_evidence
 
 
-def _drop_unlikely(parts: list[tuple[float, LocalSolution]], least: float) -> list[tuple[float, LocalSolution]]:
-    """Sort solutions by their weights, largest first; drop those below a share of the largest."""
+def _drop_unlikely(parts: list[tuple[float, LocalSolution]]) -> list[tuple[float, LocalSolution]]:
+    """Sort solutions by their weights, largest first; drop those below LEAST_WEIGHT of the largest."""
     parts = sorted(parts, key=lambda part: -_log_weight(part))[:MAX_SOLUTIONS]
-    return [part for part in parts if _log_weight(part) >= _log_weight(parts[0]) + np.log(least)]
+    return [part for part in parts if _log_weight(part) >= _log_weight(parts[0]) + np.log(LEAST_WEIGHT)]
 
 
 def _vary_each_slide(
-    parts: Sequence[tuple[float, LocalSolution]],
-    k: int,
-    durations: int,
-    least: float,
-    may_slide_on: bool,
-    margin: float = 3.0,
+    parts: Sequence[tuple[float, LocalSolution]], k: int, durations: int, may_slide_on: bool
 ) -> FitInSteps[list[tuple[float, LocalSolution]]]:
     """Solve each solution of the same motions, the likeliest first, with each duration of one slide.
 
-    The others get only durations that are likely in the first, by `least` and a margin of the logarithm. may_slide_on:
-    whether a slide up to the contact counts as a duration, because no other solution has that motion.
+    The others get only durations that are likely in the first, by LEAST_WEIGHT and a margin of the logarithm.
+    may_slide_on: whether a slide up to the contact counts as a duration, because no other solution has that motion.
     """
     cells = _list_durations(parts[0][1], k, durations, may_slide_on)
     if not cells:  # no cost of the stretch is finite
         return list(parts)
     out = yield from _solve_with_durations(parts[:1], k, cells)
-    best = max(map(_log_weight, out))
-    likely = [c for c, one in zip(cells, out, strict=True) if _log_weight(one) >= best + np.log(least) - margin]
+    least = max(map(_log_weight, out)) + np.log(LEAST_WEIGHT) - 3.0
+    likely = [c for c, one in zip(cells, out, strict=True) if _log_weight(one) >= least]
     return out + ((yield from _solve_with_durations(parts[1:], k, likely)) if len(parts) > 1 else [])
 
 

@@ -103,11 +103,6 @@ class LocalProblem:
         """
         return self.stretches[k].after and self.motions[k].ends
 
-    def usual_duration(self, k: int) -> tuple[float, float]:
-        """The prior duration of the slide after the contact, or of the roll before it, s; error of its logarithm."""
-        p = self.priors
-        return (p.slide_s, p.slide_factor) if self.stretches[k].after else (p.roll_s, p.roll_factor)
-
     def place(self, k: int) -> slice:
         """Find the position of a stretch's body in the vector of parameters."""
         return slice(1, 3) if self.stretches[k].ball == 1 else slice(3, 5)
@@ -141,7 +136,8 @@ class LocalProblem:
         p = self.priors
         rows: list[tuple[float, float, dict[int, float]]] = [(0.0, p.distance_share * p.diameter, {})]
         slides = [k for k in range(len(self.stretches)) if self.slides_first(k)]
-        rows += [(0.0, np.pi / np.sqrt(3) if self.motions[self.find_before(k)].pushed else p.turn, {}) for k in slides]
+        before = [self.motions[self.find_stretch(self.stretches[k].ball, after=False)] for k in slides]
+        rows += [(0.0, np.pi / np.sqrt(3) if motion.pushed else p.turn, {}) for motion in before]
         rows += [(np.log(p.friction), p.friction_factor, {5: 1.0}), (p.loss, p.loss, {6: 1.0})]
         for k, motion in enumerate(self.motions):
             at, last = self.start[k], self.start[k + 1] - 1
@@ -151,15 +147,16 @@ class LocalProblem:
             elif motion.pushed:
                 rows.append((0.0, p.friction_scatter, {at + 4: 1.0}))
             if motion.ends:
-                lasts, factor = self.slides.get(k, self.usual_duration(k))
+                usual = (p.slide_s, p.slide_factor) if self.stretches[k].after else (p.roll_s, p.roll_factor)
+                lasts, factor = self.slides.get(k, usual)
                 rows.append((np.log(lasts), factor, {at + 6: 1.0}))
             if motion.rolls:
                 rows.append((0.0, p.loss_scatter, {last: 1.0, 6: -1.0}))
         return rows
 
-    def find_before(self, k: int) -> int:
-        """Find the stretch of the same body before the contact."""
-        return next(i for i, s in enumerate(self.stretches) if s.ball == self.stretches[k].ball and not s.after)
+    def find_stretch(self, ball: int, after: bool) -> int:
+        """Find the stretch of a body before or after the contact."""
+        return next(k for k, s in enumerate(self.stretches) if (s.ball, s.after) == (ball, after))
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ def recommend(row: Mapping[str, Any]) -> dict[str, str]:
     foreign = json.loads(row["local"]).get("foreign", "")
     if row["status"] == TOGETHER:
         return _because(TIED, "the balls stay together")
-    if row["status"] == "ok" and _is_known(row, "r") and not foreign:
+    if row["status"] == "ok" and is_known(row, "r") and not foreign:
         other, sigmas = _find_difference(row, "")
         if not other and local and (lacking := _find_unclaimed_error(row)):
             return _because(LOCAL, f"the set shows errors of velocities by which r is known to {lacking:.2g} only")
@@ -41,7 +41,7 @@ def recommend(row: Mapping[str, Any]) -> dict[str, str]:
     elif row["status"] not in ("ok", MISFIT):
         reason = f"there is no tied fit ({row['status']})"
     rolls = row.get("motion_local") != "glide"  # as the free fit assumes
-    free = rolls and _is_known(row, "r_free") and _is_known(row, "r_free_std") and not row.get("local_hits", 0)
+    free = rolls and is_known(row, "r_free") and is_known(row, "r_free_std") and not row.get("local_hits", 0)
     if row.get("misfit_local", False) and local:
         times = math.sqrt(row["chi2_local"] / row["dof_local"])
         reason += f"; free motion misses the positions by {times:.1f} of their errors, and the errors count that"
@@ -58,60 +58,46 @@ def _because(name: str, why: str) -> dict[str, str]:
     return {"recommended": name, "why": why}
 
 
-def _is_usable(row: Mapping[str, Any], *, max_mass_ratio: float = 50.0, max_imbalance: float = 5.0) -> tuple[bool, str]:
-    """Decide whether the local estimate of a row can be used, and give the reason against it.
-
-    max_imbalance: of momentum, in standard errors that a set shows.
-    """
-    if not _is_known(row, "r_local"):
+def _is_usable(row: Mapping[str, Any]) -> tuple[bool, str]:
+    """Decide whether the local estimate of a row can be used, and give the reason against it."""
+    max_mass_ratio, max_imbalance = 50.0, 5.0  # the latter of momentum, in standard errors that a set shows
+    if not is_known(row, "r_local"):
         return False, str(json.loads(row["local"]).get("reason", "its errors are too large"))
     r, std = row["r_local"], row["r_local_std"]
     if not -3 * std <= r <= 1 + 3 * std:
         return False, f"its r of {r:.2f} is impossible"
-    if not _is_known(row, "mass_ratio") or not 1 / max_mass_ratio < row["mass_ratio"] < max_mass_ratio:
+    if not is_known(row, "mass_ratio") or not 1 / max_mass_ratio < row["mass_ratio"] < max_mass_ratio:
         return False, "momentum is not conserved, whatever the masses"
-    if row.get("local_hits", 0) and any(
-        abs(row[name]) > max_imbalance * row[f"{name}_std"]
-        for name in ("balance_n_local", "balance_t_local")
-        if _is_known(row, name)
-    ):
+    balances = [name for name in ("balance_n_local", "balance_t_local") if is_known(row, name)]
+    if row.get("local_hits", 0) and any(abs(row[name]) > max_imbalance * row[f"{name}_std"] for name in balances):
         return False, "momentum is not conserved within the errors of its set"
     return True, ""
 
 
-def _find_unclaimed_error(
-    row: Mapping[str, Any], *, min_set_error: float = 0.004, min_set_factor: float = 2.0
-) -> float:
-    """The error of r by the errors of velocities that a set shows, if the tied fit claims less; else 0.
-
-    min_set_error: of a velocity over that of the hit. min_set_factor: on the errors by the residuals, from which the
-    tied fit takes its own. If both are smaller, the set may be one of simulated tracks.
-    """
-    shown = row.get("local_hits", 0) and (
-        row["local_error_n"] > min_set_error or row.get("local_factor", 1.0) > min_set_factor
-    )
-    if not shown:
+def _find_unclaimed_error(row: Mapping[str, Any]) -> float:
+    """The error of r by the errors of velocities that a set shows, if the tied fit claims less; else 0."""
+    # of a velocity over that of the hit, and on the errors by residuals; below both, the set may be of simulated tracks
+    min_set_error, min_set_factor = 0.004, 2.0
+    shows_errors = row.get("local_error_n", 0.0) > min_set_error or row.get("local_factor", 1.0) > min_set_factor
+    if not (row.get("local_hits", 0) and shows_errors):
         return 0.0
-    raw = json.loads(row["local"])
-    by_residuals = raw["r_std"] or 0.0
+    by_residuals = json.loads(row["local"])["r_std"] or 0.0
     extra = math.sqrt(max(row["r_local_std"] ** 2 - by_residuals**2, 0.0))
     return extra if extra > row["r_std"] else 0.0
 
 
-def _is_known(row: Mapping[str, Any], column: str) -> bool:
+def is_known(row: Mapping[str, Any], column: str) -> bool:
+    """Test whether a row of estimates has a finite value in a column."""
     value = row.get(column)
     return value is not None and math.isfinite(value)
 
 
-def _find_difference(row: Mapping[str, Any], suffix: str, *, max_difference: float = 3.0) -> tuple[str, float]:
-    """Find the quantity in which another estimate differs most from the local one: "" below max_difference errors.
-
-    max_difference: in standard errors.
-    """
-    worst, sigmas = "", max_difference
+def _find_difference(row: Mapping[str, Any], suffix: str) -> tuple[str, float]:
+    """Find the quantity in which another estimate differs most from the local one, and by how many standard errors."""
+    worst, sigmas = "", 3.0  # smaller differences do not count
     for name in COMPARED:
         columns = (f"{name}{suffix}", f"{name}{suffix}_std", f"{name}_local", f"{name}_local_std")
-        if not all(_is_known(row, column) for column in columns):
+        if not all(is_known(row, column) for column in columns):
             continue
         one, one_std, two, two_std = (row[column] for column in columns)
         size = abs(one - two) / max(math.hypot(one_std, two_std), 1e-300)
