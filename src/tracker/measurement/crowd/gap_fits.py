@@ -7,7 +7,8 @@ one, adds the way that it costs. Arrays have a row for each gap between two fram
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +19,35 @@ Mask = NDArray[np.bool_]
 SLIDE_ERROR = 0.2  # relative, of either component of the way that an earlier slide costs
 
 
-class GapSettings(Protocol):
-    """Settings of the fits of gaps: those of `track_contacts.ContactFinderSettings`."""
+@dataclass(frozen=True)
+class ContactFinderSettings:
+    """How contacts are found."""
 
-    @property
-    def curvature(self) -> float: ...
-    @property
-    def spin_transfer(self) -> float: ...
-    @property
-    def least_positions(self) -> int: ...
+    positions: int = 6  # of a path before a contact
+    positions_after: int = 6  # and after it, where a slide may end
+    least_positions: int = 2
+    curvature: float = 2.0  # rms acceleration of a ball beyond that of its slide after the contact, m/s^2
+    friction: float = 0.2  # of the plate, on which a ball slides after a contact; 0 of bodies that glide
+    known_curvature: float = 0.2  # the same, where the film shows the friction
+    least_slides: int = 6  # contacts that show it
+    most_slides: int = 15  # of those with the greatest evidence
+    most_worse: float = 3.0  # log-likelihood of each that the smaller curvature may cost
+    spin_transfer: float = 0.3  # share of the relative speed of the surfaces that a contact gives to a spin
+    distance_share: float = 0.016  # error of the distance at which balls touch, diameters
+    near_share: float = 0.05  # farther than a diameter by this, balls do not touch
+    prior_log_odds: float = -10.0  # of a contact at a position and time at which one is searched
+    least_confidence: float = 0.5
+    same_frames: float = 1.5  # within which two contacts of a ball are one kink
+    vague_frames: float = 3.5  # the same, where the instants are not yet known
+    other_frames: float = 0.5  # from which on another contact of a ball is not this one
+    event_frames: float = 0.1  # from an event to the first position that counts
+    unseen_share: float = 0.5  # of a kick within `same_frames` of another, by which both may be mixed
+    slide_share: float = 0.04  # error of a kick, relative, by the slide after it
+    known_slide_share: float = 0.016  # the same, where the film shows the friction
+    turns: int = 3
+    least_impulse_sigma: float = 3.0
+    least_alignment: float = 0.85  # cosine between a kick and the line of centres
+    rough_share: float = 0.1  # by which the distance of balls may be off a diameter, where paths are too short
 
 
 class ConsecutivePositions(NamedTuple):
@@ -41,7 +62,8 @@ class ConsecutivePositions(NamedTuple):
     def between(self, low: float, high: float) -> ConsecutivePositions:
         """The positions in frames after `low` and before `high`."""
         rows = slice(*np.searchsorted(self.frame, (np.floor(low) + 1, np.ceil(high))))
-        return ConsecutivePositions(self.particle, *(values[rows] for values in self[1:]))
+        position, variance = self.position[rows], self.variance[rows]
+        return ConsecutivePositions(self.particle, self.frame[rows], self.time[rows], position, variance)
 
 
 class Slides(NamedTuple):
@@ -257,17 +279,10 @@ class ContactFits(NamedTuple):
         return ContactFits(**{name: values[rows] for name, values in self._asdict().items()})
 
 
-class TouchDistance(NamedTuple):
-    """The distance at which balls touch, m, with its error."""
-
-    diameter: float
-    std: float
-
-
-def fit_gaps(gaps: ContactGaps, settings: GapSettings, touch: TouchDistance, exposure: float) -> ContactFits:
+def fit_gaps(gaps: ContactGaps, settings: ContactFinderSettings, diameter: float, exposure: float) -> ContactFits:
     """Fit the best instant of a contact in each gap, without the gaps in which a ball has too few positions.
 
-    exposure: s.
+    diameter: m; exposure: s.
     """
     steps_in_gap = 8  # instants between two frames that are tried
     gaps, has_before, has_after = _take_usable(gaps, settings.least_positions)
@@ -292,6 +307,7 @@ def fit_gaps(gaps: ContactGaps, settings: GapSettings, touch: TouchDistance, exp
         fit(gaps.after, none),
         fit_with_slides(gaps.before | gaps.after),
     )
+    touch = diameter, settings.distance_share * diameter
     times = np.linspace(gaps.low, gaps.high, steps_in_gap + 1, axis=-1)  # (m, steps)
     at, slips = np.zeros(len(times)), np.zeros_like(gaps.position[:, :, 0])
     for _ in range(2 if gaps.slides.decel else 1):  # each with slides from the instant of the last
@@ -365,11 +381,11 @@ def _predict_slips(
 
 
 def _compare_paths(
-    before: Parabolas, after: Parabolas, has: tuple[Mask, Mask], times: Floats, touch: TouchDistance
+    before: Parabolas, after: Parabolas, has: tuple[Mask, Mask], times: Floats, touch: tuple[float, float]
 ) -> tuple[Floats, Floats]:
     """The chi^2 (m, n) of contacts at each of n instants, and the places (m, balls, n, 2) of the balls there.
 
-    The paths before and after meet there, and two balls are a diameter apart.
+    The paths before and after meet there. touch: distance of two balls, m, with its error.
     """
     at = np.broadcast_to(times[:, None], (*has[0].shape, times.shape[1]))
     (place, var), (other, other_var) = before.at(at), after.at(at)
@@ -382,7 +398,7 @@ def _compare_paths(
     spread = np.where(both, var * weight, np.where(has[0][..., None], var, other_var))
     if place.shape[1] == 2:
         gap = np.hypot(*np.moveaxis(place[:, 0] - place[:, 1], -1, 0))
-        total = total + (gap - touch.diameter) ** 2 / (touch.std**2 + spread.sum(axis=1))
+        total = total + (gap - touch[0]) ** 2 / (touch[1] ** 2 + spread.sum(axis=1))
     return total, place
 
 

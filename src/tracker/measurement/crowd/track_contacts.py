@@ -21,9 +21,9 @@ from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import find_near_pairs
 from tracker.measurement.crowd.gap_fits import (
     ConsecutivePositions,
+    ContactFinderSettings,
     ContactFits,
     ContactGaps,
-    TouchDistance,
     fit_gaps,
     gather_gaps,
 )
@@ -35,37 +35,6 @@ Ints = NDArray[np.int64]
 NO_BALL = -1  # in place of a second ball: a wall, or something unseen
 CUTTER = StretchCutter(kink_positions=3, max_acceleration=2.4, kink_sigma=4.0)  # candidates only
 MAX_SPIN_TRANSFER = 5 / 14  # of balls whose surfaces stick to one another
-
-
-@dataclass(frozen=True)
-class ContactFinderSettings:
-    """How contacts are found."""
-
-    positions: int = 6  # of a path before a contact
-    positions_after: int = 6  # and after it, where a slide may end
-    least_positions: int = 2
-    curvature: float = 2.0  # rms acceleration of a ball beyond that of its slide after the contact, m/s^2
-    friction: float = 0.2  # of the plate, on which a ball slides after a contact; 0 of bodies that glide
-    known_curvature: float = 0.2  # the same, where the film shows the friction
-    least_slides: int = 6  # contacts that show it
-    most_slides: int = 15  # of those with the greatest evidence
-    most_worse: float = 3.0  # log-likelihood of each that the smaller curvature may cost
-    spin_transfer: float = 0.3  # share of the relative speed of the surfaces that a contact gives to a spin
-    distance_share: float = 0.016  # error of the distance at which balls touch, diameters
-    near_share: float = 0.05  # farther than a diameter by this, balls do not touch
-    prior_log_odds: float = -10.0  # of a contact at a position and time at which one is searched
-    least_confidence: float = 0.5
-    same_frames: float = 1.5  # within which two contacts of a ball are one kink
-    vague_frames: float = 3.5  # the same, where the instants are not yet known
-    other_frames: float = 0.5  # from which on another contact of a ball is not this one
-    event_frames: float = 0.1  # from an event to the first position that counts
-    unseen_share: float = 0.5  # of a kick within `same_frames` of another, by which both may be mixed
-    slide_share: float = 0.04  # error of a kick, relative, by the slide after it
-    known_slide_share: float = 0.016  # the same, where the film shows the friction
-    turns: int = 3
-    least_impulse_sigma: float = 3.0
-    least_alignment: float = 0.85  # cosine between a kick and the line of centres
-    rough_share: float = 0.1  # by which the distance of balls may be off a diameter, where paths are too short
 
 
 @dataclass(frozen=True)
@@ -122,6 +91,11 @@ class _Film:
     events: dict[int, list[float]]  # of each ball, frames at which something may have happened to it
     slides: dict[int, list[tuple[float, Floats]]] = field(default_factory=dict)  # of each ball: instants and slips
 
+    @property
+    def same_s(self) -> float:
+        """Seconds within which two contacts of a ball are one kink."""
+        return self.settings.same_frames * self.frame_s
+
     def note_slides(self, found: Sequence[TrackContact]) -> None:
         """Keep the slides after these contacts."""
         self.slides = {}
@@ -150,41 +124,32 @@ class _Film:
 
     def fit(self, gaps: ContactGaps) -> ContactFits:
         """Fit a contact in each gap."""
-        touch = TouchDistance(self.diameter, self.settings.distance_share * self.diameter)
-        return fit_gaps(gaps, self.settings, touch, self.exposure)
+        return fit_gaps(gaps, self.settings, self.diameter, self.exposure)
 
     def _find_last_slide(self, part: ConsecutivePositions) -> tuple[float, Floats] | None:
         """The last slide of a ball that starts before its positions."""
-        if not len(part.time):
-            return None
-        slides = self.slides.get(part.particle, ())
+        slides = self.slides.get(part.particle, ()) if len(part.time) else ()
         return next((slide for slide in reversed(slides) if slide[0] < part.time[0]), None)
 
 
-def find_track_contacts(
-    balls: Sequence[BallTrack], diameter: float, settings: ContactFinderSettings | None = None, *, glides: bool = False
-) -> list[TrackContact]:
+def find_track_contacts(balls: Sequence[BallTrack], diameter: float, *, glides: bool = False) -> list[TrackContact]:
     """Find all contacts in the tracks of any number of balls, in order of time; diameter: m.
 
     glides: whether the bodies glide, as on air, and do not slide after a contact until they roll.
     """
-    settings = settings or ContactFinderSettings()
-    settings = replace(settings, friction=0.0) if glides else settings
+    settings = ContactFinderSettings(friction=0.0) if glides else ContactFinderSettings()
     noise = measure_path_noise([(ball.frame, ball.position) for ball in balls])
-    kinks = {ball.particle: _find_kinks(ball, noise) for ball in balls}
     by_number = {ball.particle: ball for ball in balls}
-    frame_s = _frame_duration(balls)
+    kinks = {n: _find_kinks(ball, noise) for n, ball in by_number.items()}
     pairs = [
         (one, other, frame)
         for one, other in find_near_pairs(list(balls), diameter, 1.0)
         for frame in _find_approaches(one, other, diameter, settings)
     ]
     events = {n: [*at.tolist(), *(f for a, b, f in pairs if n in (a.particle, b.particle))] for n, at in kinks.items()}
-    variances = [np.asarray(np.trace(ball.cov, axis1=1, axis2=2) / 2) for ball in balls]
-    rows = {
-        ball.particle: ConsecutivePositions(ball.particle, ball.frame, ball.time, ball.position, variance)
-        for ball, variance in zip(balls, variances, strict=True)
-    }
+    rows = {n: ConsecutivePositions(n, b.frame, b.time, b.position, b.variance) for n, b in by_number.items()}
+    steps = [np.diff(ball.time) / np.diff(ball.frame) for ball in balls if len(ball) > 1]
+    frame_s = float(np.median(np.concatenate(steps))) if steps else np.nan
     film = _Film(rows, balls[0].exposure if balls else 0.0, frame_s, diameter, settings, events)
     found = list[TrackContact]()
     for turn in range(settings.turns):  # each with better instants of the contacts before and after
@@ -192,20 +157,25 @@ def find_track_contacts(
         tried = _examine([((one.particle, other.particle), frame) for one, other, frame in pairs], away, film)
         found = list[TrackContact]()
         for contact in sorted(tried, key=lambda contact: -contact.gain):
-            if not _is_explained(contact, found, frame_s, settings):
+            # other contacts of both balls at that instant explain the kinks
+            near = [c for c in found if abs(c.time - contact.time) < film.same_s]
+            if not set(contact.balls) <= {n for c in near for n in c.balls}:
                 found.append(contact)
         happened = {n: _list_events(by_number[n], kinks[n], found, settings.vague_frames) for n in kinks}
         film.events = {n: [*own, *free] for n, (own, free) in happened.items()}
         if settings.friction and film.settings.curvature > settings.known_curvature and turn < settings.turns - 1:
             film.settings = _fit_friction(found, by_number, film)
         film.note_slides(found)
-        centres = {(c.one, c.other): c for c in found}
-        pairs = [(one, other, _refine(one, other, frame, centres, settings)) for one, other, frame in pairs]
+        times = {(c.one, c.other): c.time for c in found}
+        for k, (one, other, frame) in enumerate(pairs):
+            at = float(np.interp(times.get((one.particle, other.particle), np.nan), one.time, one.frame))
+            if abs(at - frame) < settings.vague_frames:
+                pairs[k] = one, other, at
     walls = list[tuple[tuple[int, ...], float]]()
     for n, ball in by_number.items():
         walls += [((n,), frame) for frame in _list_events(ball, kinks[n], found, settings.same_frames)[1]]
     found += _examine(walls, settings.other_frames, film)
-    return _widen_errors(_find_partners(found, balls, diameter, frame_s, settings), frame_s, settings)
+    return _widen_errors(_find_partners(found, balls, film), film)
 
 
 def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], film: _Film) -> ContactFinderSettings:
@@ -244,38 +214,32 @@ def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], fi
     return replace(found_settings, curvature=settings.known_curvature, slide_share=settings.known_slide_share)
 
 
-def _widen_errors(found: Sequence[TrackContact], frame_s: float, settings: ContactFinderSettings) -> list[TrackContact]:
+def _widen_errors(found: Sequence[TrackContact], film: _Film) -> list[TrackContact]:
     """The contacts in order of time, with larger errors where a ball has another contact within a frame or so.
 
     Its path between both is not seen. The path after both then is off by the other kick times the time between.
     """
-    found, out, same = sorted(found, key=lambda contact: contact.time), [], settings.same_frames * frame_s
+    found, out, same, unseen = sorted(found, key=lambda c: c.time), [], film.same_s, film.settings.unseen_share
     time = np.array([contact.time for contact in found])
     for contact in found:
         late = kick = 0.0
         first, last = np.searchsorted(time, (contact.time - same, contact.time + same))
         for other in found[first:last]:
             if other is not contact and set(other.balls) & set(contact.balls):
-                kick = max(kick, settings.unseen_share * other.kick)
-                share = settings.unseen_share * min(other.kick / contact.kick, 1.0)
+                kick = max(kick, unseen * other.kick)
+                share = unseen * min(other.kick / contact.kick, 1.0)
                 late = max(late, share * max(abs(other.time - contact.time), same / 3))
         time_std, kick_std = np.hypot(contact.time_std, late), np.hypot(contact.kick_std, kick / 2)
         out.append(replace(contact, time_std=float(time_std), kick_std=float(kick_std)))
     return out
 
 
-def _find_partners(
-    found: Sequence[TrackContact],
-    balls: Sequence[BallTrack],
-    diameter: float,
-    frame_s: float,
-    settings: ContactFinderSettings,
-) -> list[TrackContact]:
+def _find_partners(found: Sequence[TrackContact], balls: Sequence[BallTrack], film: _Film) -> list[TrackContact]:
     """The contacts, where a kink of one ball is that with a ball whose own path is too short to show it.
 
     The other ball lies a diameter behind the kick. It has a kink of its own, of that contact or of another.
     """
-    out, same = list(found), settings.same_frames * frame_s
+    out, same, settings = list(found), film.same_s, film.settings
     for contact in sorted(found, key=lambda contact: -contact.gain):
         if len(contact.balls) == 2 or not any(c is contact for c in out):
             continue
@@ -288,7 +252,7 @@ def _find_partners(
             apart = contact.xy - place
             size = max(float(np.hypot(*apart)), 1e-12)
             aligned = float(apart @ contact.normal) / size
-            if abs(size / diameter - 1) < settings.rough_share and aligned > best:
+            if abs(size / film.diameter - 1) < settings.rough_share and aligned > best:
                 best, chosen = aligned, (ball.particle, apart / size, place)
         pair = None if chosen is None else {contact.one, chosen[0]}
         if chosen is None or any(set(c.balls) == pair and abs(c.time - contact.time) < same for c in out):
@@ -311,24 +275,6 @@ def _list_events(
     """Frames, with parts of them, of the contacts of a ball, and of its kinks that are `apart` from these or more."""
     own = [float(np.interp(c.time, ball.time, ball.frame)) for c in found if ball.particle in c.balls]
     return own, [at for at in kinks.tolist() if min((abs(at - f) for f in own), default=np.inf) > apart]
-
-
-def _refine(
-    one: BallTrack,
-    other: BallTrack,
-    frame: float,
-    found: dict[tuple[int, int], TrackContact],
-    settings: ContactFinderSettings,
-) -> float:
-    """The frame of a contact of two balls as it was found, if it was."""
-    contact = found.get((one.particle, other.particle))
-    at = np.inf if contact is None else float(np.interp(contact.time, one.time, one.frame))
-    return at if abs(at - frame) < settings.vague_frames else frame
-
-
-def _frame_duration(balls: Sequence[BallTrack]) -> float:
-    steps = [np.diff(ball.time) / np.diff(ball.frame) for ball in balls if len(ball) > 1]
-    return float(np.median(np.concatenate(steps))) if steps else np.nan
 
 
 def _find_kinks(ball: BallTrack, noise: float) -> Floats:
@@ -379,7 +325,7 @@ def _examine_batch(candidates: Sequence[tuple[tuple[int, ...], float]], away: fl
     out = list[TrackContact]()
     for balls, start, end in zip(chosen, first.tolist(), last.tolist(), strict=True):
         if start < end:
-            contact = _judge(balls, _weigh_gaps(fits.take(np.arange(start, end))), film.diameter, film.settings)
+            contact = _judge(balls, _weigh_gaps(fits.take(np.arange(start, end))), film)
             out += [] if contact is None else [contact]
     return out
 
@@ -392,10 +338,9 @@ def _weigh_gaps(fits: ContactFits) -> ContactFits:
     return best._replace(time_std=np.sqrt(variance))
 
 
-def _judge(
-    pair: tuple[int, ...], found: ContactFits, diameter: float, settings: ContactFinderSettings
-) -> TrackContact | None:
+def _judge(pair: tuple[int, ...], found: ContactFits, film: _Film) -> TrackContact | None:
     """The contact of balls by the best of its gaps, if the paths show one."""
+    settings = film.settings
     turn = found.after - found.before
     gain = float(found.smooth - found.chi2)
     confidence = float(expit(gain / 2 + settings.prior_log_odds))
@@ -407,7 +352,7 @@ def _judge(
     else:
         normal = found.places[0] - found.places[1]
         apart = float(np.hypot(*normal))
-        if apart > (1 + settings.near_share) * diameter:
+        if apart > (1 + settings.near_share) * film.diameter:
             return None
         normal, place = normal / apart, found.places.mean(axis=0)
         kicks = np.array([turn[0] @ normal, -turn[1] @ normal])  # equal, if the balls are
@@ -421,11 +366,3 @@ def _judge(
     other = pair[1] if len(pair) == 2 else NO_BALL
     when, when_std = float(found.time), float(found.time_std)
     return TrackContact(when, when_std, pair[0], other, place, normal, kick, error, gain, confidence, found.slips)
-
-
-def _is_explained(
-    contact: TrackContact, found: Sequence[TrackContact], frame_s: float, settings: ContactFinderSettings
-) -> bool:
-    """Decide whether other contacts of both balls at that instant explain the kinks."""
-    near = [c for c in found if abs(c.time - contact.time) < settings.same_frames * frame_s]
-    return set(contact.balls) <= {n for c in near for n in c.balls}

@@ -1,10 +1,11 @@
 """Fits of contacts between two frames against paths in closed form: hits of discs on air, and a ball that slides."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from tracker.measurement.crowd.gap_fits import ConsecutivePositions, TouchDistance, fit_gaps, gather_gaps
-from tracker.measurement.crowd.track_contacts import ContactFinderSettings
+from tracker.measurement.crowd.gap_fits import ConsecutivePositions, ContactFinderSettings, fit_gaps, gather_gaps
 
 FRAME_S, DIAMETER, NOISE = 4e-3, 2e-3, 1e-7
 FRAME = np.arange(12)
@@ -23,7 +24,7 @@ def make_rows(particle, place, before, after, instant, decel=0.0):
 def fit(candidates, gaps, settings=GLIDES, decel=0.0, slides=None):
     slides = [[None] * len(parts) for parts in candidates] if slides is None else slides
     gathered = gather_gaps(candidates, gaps, slides, decel, FRAME_S)
-    return fit_gaps(gathered, settings, TouchDistance(DIAMETER, 0.01 * DIAMETER), 0.0)
+    return fit_gaps(gathered, replace(settings, distance_share=0.01), DIAMETER, 0.0)
 
 
 def make_hit(instant):
