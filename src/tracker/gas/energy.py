@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
 from tracker.gas.velocities import FreePath, HalfVelocities
@@ -46,11 +46,7 @@ def predict_losses(
     effects of one standard error of r and of s, which all contacts share. Values are NaN for a table without kicks.
     least: contacts with a known r.
     """
-    lost, variance, common = (
-        np.full(len(contacts), np.nan),
-        np.full(len(contacts), np.nan),
-        np.zeros((len(contacts), 2)),
-    )
+    lost, variance, common = *np.full((2, len(contacts)), np.nan), np.zeros((len(contacts), 2))
     if "kick" not in contacts or not len(contacts):
         return lost, variance, common
     kick, kick_std, *normal = (contacts[name].to_numpy(dtype=np.float64) for name in ("kick", "kick_std", "nx", "ny"))
@@ -84,17 +80,14 @@ def predict_losses(
     return lost, variance, common
 
 
-def _find_kept_share(contacts: pd.DataFrame, least: int, *, max_error: float = 0.15) -> tuple[float, float]:
+def _find_kept_share(contacts: pd.DataFrame, least: int) -> tuple[float, float]:
     """The share s of a relative speed that bodies keep, and its error, by the contacts that show their friction.
 
-    Otherwise it lies between 1, of smooth bodies, and that of balls that stick to one another, 5/7.
-
-    least: contacts that are needed. max_error: of the s of a contact that counts.
+    With fewer than `least` it lies between 1, of smooth bodies, and that of balls that stick to one another, 5/7.
     """
-    if {"mu_bb", "mu_bb_std", "r", "v_n", "v_t"} <= set(contacts):
-        friction, std, r, along, across = (
-            contacts[name].to_numpy(dtype=np.float64) for name in ("mu_bb", "mu_bb_std", "r", "v_n", "v_t")
-        )
+    max_error, columns = 0.15, ["mu_bb", "mu_bb_std", "r", "v_n", "v_t"]
+    if set(columns) <= set(contacts):
+        friction, std, r, along, across = contacts[columns].to_numpy(dtype=np.float64).T
         with np.errstate(divide="ignore", invalid="ignore"):
             lever = (1 + r) * along / across
         known = (std * lever < max_error) & ~contacts["misfit"].to_numpy(dtype=bool)
@@ -106,8 +99,8 @@ def _find_kept_share(contacts: pd.DataFrame, least: int, *, max_error: float = 0
     return 6 / 7, 1 / 7
 
 
-def _lies_inside(contacts: pd.DataFrame, *, share: float = 0.02) -> NDArray[np.bool_]:
-    """Decide which contacts lie inside the hull of all by more than a share of its smallest width."""
+def _lies_inside(contacts: pd.DataFrame) -> NDArray[np.bool_]:
+    """Decide which contacts lie inside the hull of all by more than 2 % of its smallest width."""
     out = np.zeros(len(contacts), dtype=bool)
     if "x" not in contacts:
         return out
@@ -118,7 +111,7 @@ def _lies_inside(contacts: pd.DataFrame, *, share: float = 0.02) -> NDArray[np.b
         return out
     hull = ConvexHull(place)
     depth = -(place @ hull.equations[:, :2].T + hull.equations[:, 2])
-    out[known] = depth.min(axis=1) > share * depth.max(axis=0).min()
+    out[known] = depth.min(axis=1) > 0.02 * depth.max(axis=0).min()
     return out
 
 
@@ -164,17 +157,14 @@ def measure_contact_losses(
     return lost, spread, common
 
 
-def _is_mixed(contacts: pd.DataFrame, frame_s: float, *, frames: float = 2.0) -> NDArray[np.bool_]:
-    """Decide which contacts are so near another one of the same ball that the kicks of both are one kink.
-
-    frames: between two contacts, from which on the path between them shows.
-    """
+def _is_mixed(contacts: pd.DataFrame, frame_s: float) -> NDArray[np.bool_]:
+    """Decide which contacts are so near another one of the same ball that the kicks of both are one kink."""
     out, time = np.zeros(len(contacts), dtype=bool), contacts["t_s"].to_numpy(dtype=np.float64)
     balls = contacts[["particle1", "particle2"]].to_numpy()
     for ball in np.unique(balls[balls >= 0]):
         own = np.flatnonzero((balls == ball).any(axis=1))
         own = own[np.argsort(time[own], kind="stable")]
-        near = np.diff(time[own]) < frames * frame_s
+        near = np.diff(time[own]) < 2.0 * frame_s  # after more, the path between them shows
         out[own[1:][near]] = out[own[:-1][near]] = True
     return out
 
@@ -240,17 +230,13 @@ def measure_losses(
         value, error, rows = value[known], error[known], rows[known]
         if not len(value):
             continue
-        lost["plate"].add(rows[1:], -np.diff(value), 0.0)
+        lost["plate"].add(rows[1:], -np.diff(value))
         lost["plate"].add(rows[-1], 0.0, error[0] + error[-1])
         if path.ball in before:
             earlier, energy, variance = before[path.ball]
             own = (at >= earlier.end_time) & (at <= path.start_time) & (balls == path.ball).any(axis=1)
-            loss, unsure, whole = (
-                energy - float(value[0]),
-                variance + float(error[0]),
-                min(path.start, earlier.end) >= 0,
-            )
-            steps.append(_Step(int(rows[0]), loss, unsure, np.flatnonzero(own), whole))
+            loss, unsure, whole = energy - value[0], variance + error[0], min(path.start, earlier.end) >= 0
+            steps.append(_Step(int(rows[0]), float(loss), float(unsure), np.flatnonzero(own), whole))
         before[path.ball] = path, float(value[-1]), float(error[-1])
     bodies = 1 + (balls[:, 1] >= 0)
     resolved = _find_resolved(steps, taken, bodies)
@@ -260,15 +246,15 @@ def measure_losses(
         if not (step.whole and resolved[step.contacts].all()):
             lost["unresolved"].add(step.row, step.loss, step.variance)
             for name, kind in (("contacts", is_pair), ("walls", ~is_pair)):
-                hidden[name].add(step.row, step.loss * kind[step.contacts].any(), 0.0)
-            hidden["plate"].add(step.row, step.loss / 2, 0.0)
+                hidden[name].add(step.row, step.loss * kind[step.contacts].any())
+            hidden["plate"].add(step.row, step.loss / 2)
             continue
         lost["plate"].add(step.row, step.loss, step.variance)
         for contact in step.contacts:
             part = np.array([taken[contact], variances[contact], *common[contact]]) / bodies[contact]
             lost["contacts" if bodies[contact] > 1 else "walls"].add(step.row, part[0], part[1], part[2:])
             lost["plate"].add(step.row, -part[0], part[1], -part[2:])
-            hidden["beside others"].add(step.row, part[0] * mixed[contact], 0.0)
+            hidden["beside others"].add(step.row, part[0] * mixed[contact])
     for parts in in_view.values():
         _add_held(seen, *(np.concatenate(part) for part in zip(*parts, strict=True)))
     return _tabulate(seen, smoothed, lost, hidden)
@@ -308,13 +294,7 @@ class _Sums:
     def __init__(self, frames: int) -> None:
         self.value, self.variance, self.common = np.zeros(frames + 1), np.zeros(frames + 1), np.zeros((frames + 1, 2))
 
-    def add(
-        self,
-        rows: NDArray[np.int64] | int,
-        value: Floats | float,
-        variance: Floats | float,
-        common: Floats | float = 0.0,
-    ) -> None:
+    def add(self, rows: ArrayLike, value: ArrayLike, variance: ArrayLike = 0.0, common: ArrayLike = 0.0) -> None:
         """Add to those frames."""
         rows = np.minimum(rows, len(self.value) - 1)
         np.add.at(self.value, rows, value)

@@ -101,7 +101,9 @@ def measure_gas(
         No frame has three balls with a velocity.
     """
     used = settings or GasSettings()
-    contacts = _sort_contacts(contacts)
+    # each column has its own type even where there are no contacts
+    kinds = dict.fromkeys(("t_s", "energy_lost", "energy_lost_std"), float) | {"particle1": int, "particle2": int}
+    contacts = contacts.astype(kinds | {"misfit": bool}).sort_values("t_s", kind="stable").reset_index(drop=True)
     cuts = PathCuts(
         window_rows=used.window_rows,
         margins_s=_find_margins(contacts, balls, used.margin_frames / camera.fps),
@@ -111,12 +113,16 @@ def measure_gas(
     )
     paths = cut_free_paths(balls, contacts, cuts)
     table = tabulate_velocities(paths) if paths else pd.DataFrame({"frame": []})
-    claimed = float(np.sqrt(np.median(np.concatenate([_claimed_variance(ball) for ball in balls]))))
+    variances = [np.trace(ball.cov - ball.fixed, axis1=1, axis2=2) / 2 for ball in balls]
+    claimed = float(np.sqrt(np.median(np.concatenate(variances))))
     noise = measure_noise(table) if len(table) else np.nan
     noise = noise if np.isfinite(noise) else claimed  # all free paths are short
     time = _measure_time(paths, table, contacts, noise, camera.fps)
-    where = area or _find_area(balls)
-    sides = where[2] - where[0], where[3] - where[1]
+    positions, frames = np.concatenate([b.position for b in balls]), np.concatenate([b.frame for b in balls])
+    left, bottom, right, top = area or map(float, (*positions.min(axis=0), *positions.max(axis=0)))
+    sides = right - left, top - bottom
+    order = np.argsort(frames, kind="stable")
+    by_frame = np.split(positions[order], np.unique(frames[order], return_index=True)[1][1:])
     a2, a2_std = measure_sonine(table, time, noise)
     values = {"position_noise": noise, "noise_ratio": noise / claimed, "sonine_a2": a2, "sonine_a2_std": a2_std}
     values |= _measure_rates(balls, contacts)
@@ -124,12 +130,10 @@ def measure_gas(
     time, values = _add_camera_errors(time, values, camera)
     return GasObservables(
         time=time,
-        pairs=pair_correlation(
-            _split_by_frame(balls), sides, used.pair_reach_diameters * camera.diameter, used.pair_bins
-        ),
+        pairs=pair_correlation(by_frame, sides, used.pair_reach_diameters * camera.diameter, used.pair_bins),
         velocities=measure_distribution(table, time, used.velocity_bins),
         values=values,
-        area=where,
+        area=(left, bottom, right, top),
         diameter=camera.diameter,
     )
 
@@ -149,27 +153,11 @@ def _add_camera_errors(
     time: pd.DataFrame, values: dict[str, float], camera: GasCamera
 ) -> tuple[pd.DataFrame, dict[str, float]]:
     """Both with the relative errors of lengths and of the frame rate in whatever depends on them."""
-    energies, velocity_error = (
-        ("temperature", "energy", *SINKS.values()),
-        np.hypot(camera.scale_error, camera.fps_error),
-    )
-    time = time.assign(**{f"{k}_std": np.hypot(time[f"{k}_std"], 2 * velocity_error * time[k]) for k in energies})
-    wider = {
-        f"{name}_std": float(np.hypot(values[f"{name}_std"], error * values[name]))
-        for name, error in (("free_path", camera.scale_error), ("contact_rate", camera.fps_error))
-    }
-    return time, values | wider
-
-
-def _sort_contacts(contacts: pd.DataFrame) -> pd.DataFrame:
-    """The contacts in the order of time, each column of its own type even where there are none."""
-    kinds = dict.fromkeys(("t_s", "energy_lost", "energy_lost_std"), float) | {"particle1": int, "particle2": int}
-    return contacts.astype(kinds | {"misfit": bool}).sort_values("t_s", kind="stable").reset_index(drop=True)
-
-
-def _claimed_variance(ball: BallTrack) -> Floats:
-    """Variance of a coordinate (n,), m^2, that the track claims, without the errors that all its positions share."""
-    return np.asarray(np.trace(ball.cov - ball.fixed, axis1=1, axis2=2) / 2)
+    of_energy = 2 * np.hypot(camera.scale_error, camera.fps_error)
+    energies = ("temperature", "energy", *SINKS.values())
+    time = time.assign(**{f"{k}_std": np.hypot(time[f"{k}_std"], of_energy * time[k]) for k in energies})
+    errors = {"free_path": camera.scale_error, "contact_rate": camera.fps_error}
+    return time, values | {f"{k}_std": float(np.hypot(values[f"{k}_std"], e * values[k])) for k, e in errors.items()}
 
 
 def _find_margins(contacts: pd.DataFrame, balls: Sequence[BallTrack], most: float) -> Floats:
@@ -230,19 +218,3 @@ def _measure_way(ball: BallTrack, contacts: pd.DataFrame) -> float:
         sides = [extrapolate_to_contact(ball, inside, float(instant), later) for later in (False, True)]
         corners.append(np.mean([place for place, sure in sides if sure] or [sides[0][0]], axis=0))
     return float(np.hypot(*np.diff([*corners, ball.position[-1]], axis=0).T).sum())
-
-
-def _find_area(balls: Sequence[BallTrack]) -> Rectangle:
-    """The rectangle that the centres reached, m."""
-    every = np.concatenate([ball.position for ball in balls])
-    (left, bottom), (right, top) = every.min(axis=0), every.max(axis=0)
-    return float(left), float(bottom), float(right), float(top)
-
-
-def _split_by_frame(balls: Sequence[BallTrack]) -> list[Floats]:
-    """Positions of all balls (n, 2) in each frame."""
-    frame = np.concatenate([ball.frame for ball in balls])
-    position = np.concatenate([ball.position for ball in balls])
-    order = np.argsort(frame, kind="stable")
-    first = np.unique(frame[order], return_index=True)[1]
-    return np.split(position[order], first[1:])

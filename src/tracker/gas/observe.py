@@ -12,12 +12,13 @@ import pandas as pd
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
+from tracker.gas.energy import SINKS
 from tracker.gas.gas import GasCamera, GasObservables, GasSettings, Rectangle, measure_gas
 from tracker.gas.gas_page import summarise_gas, write_gas
 from tracker.measurement.camera_errors import camera_errors
 from tracker.measurement.positions import to_ball_tracks
 from tracker.recording import Result
-from tracker.results import read_clip, read_contact_table
+from tracker.results import list_clips, read_clip, read_contact_table
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -127,9 +128,7 @@ def observe_gas(
 
 def _read(results: Path, number: int | None) -> tuple[str, Tracks, Camera, pd.DataFrame]:
     """Read one clip of RESULTS: its name, tracks, camera and contacts."""
-    numbers = sorted(int(file.parent.name) for file in (results / "clips").glob("[0-9]*/tracks.parquet"))
-    if not numbers:
-        raise InputError(f"{results}: no clips/ with tracks in it, expected RESULTS, as tracker track makes them")
+    numbers = list_clips(results)
     if number is None and len(numbers) > 1:
         raise InputError(f"{results}: {len(numbers)} clips; name one of {numbers[0]} to {numbers[-1]} by --clip")
     chosen = numbers[0] if number is None else number
@@ -145,9 +144,8 @@ def parse_area(text: str) -> list[float] | None:
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
-        raise InputError(
-            f"--area {text!r}: expected LEFT,BOTTOM,RIGHT,TOP in m, such as -0.03,-0.02,0.03,0.02"
-        ) from None
+        example = "expected LEFT,BOTTOM,RIGHT,TOP in m, such as -0.03,-0.02,0.03,0.02"
+        raise InputError(f"--area {text!r}: {example}") from None
 
 
 def _check_area(area: Sequence[float] | None) -> Rectangle | None:
@@ -161,23 +159,16 @@ def _check_area(area: Sequence[float] | None) -> Rectangle | None:
     return left, bottom, right, top
 
 
-def _limits(
-    gas: GasObservables, camera: Camera, *, max_unresolved: float = 0.1, min_free_frames: int = 20
-) -> list[str]:
-    """Notes on what limits the values.
-
-    max_unresolved: share of the lost energy, above which a note says why.
-    min_free_frames: between contacts, on average; with fewer a note says that the temperature is too low.
-    """
-    notes = []
-    last = gas.time.iloc[-1]
-    lost = {name: float(last[f"lost_{name}"]) for name in ("in_contacts", "at_walls", "to_plate", "unresolved")}
-    total = sum(abs(value) for value in lost.values())
-    if total > 0 and abs(lost["unresolved"]) > max_unresolved * total:
+def _limits(gas: GasObservables, camera: Camera) -> list[str]:
+    """Notes on what limits the values."""
+    notes, max_unresolved = [], 0.1
+    lost = gas.time.iloc[-1][list(SINKS.values())].astype(float).abs()
+    if (unresolved := float(lost["lost_unresolved"] / max(lost.sum(), 1e-300))) > max_unresolved:
         notes.append(
-            f"{100 * abs(lost['unresolved']) / total:.0f} % of the lost energy is not resolved: after many contacts "
+            f"{100 * unresolved:.0f} % of the lost energy is not resolved: after many contacts "
             "the slide or the free path has too few frames; a higher frame rate resolves it"
         )
+    min_free_frames = 20  # between contacts, on average
     between = camera.fps / gas.values["contact_rate"] if gas.values["contact_rate"] else np.inf
     if between < min_free_frames:
         notes.append(

@@ -30,10 +30,7 @@ def tabulate_velocities(paths: Sequence[FreePath]) -> pd.DataFrame:
         {
             "frame": np.concatenate([path.frame for path in paths]),
             "ball": np.repeat([path.ball for path in paths], [len(path.frame) for path in paths]),
-            "even_x": every.even[:, 0],
-            "even_y": every.even[:, 1],
-            "odd_x": every.odd[:, 0],
-            "odd_y": every.odd[:, 1],
+            **dict(zip(HALVES, [*every.even.T, *every.odd.T], strict=True)),
             "gain_even": every.gain_even,
             "gain_odd": every.gain_odd,
             "gain_common": every.gain_common,
@@ -125,15 +122,9 @@ def measure_sonine(table: pd.DataFrame, temperatures: pd.DataFrame, noise: float
     return float(totals.sum() / counts.sum() - 1), float(_jackknife(totals, counts))
 
 
-def measure_distribution(
-    table: pd.DataFrame, temperatures: pd.DataFrame, bins: int, *, largest_component: float = 4.0
-) -> pd.DataFrame:
-    """Density of the components of velocities over sqrt(temperature); the error is the jackknife's over balls.
-
-    largest_component: over the square root of the temperature, of the histogram.
-    """
-    table = _significant(table, temperatures)
-    edges = np.linspace(-largest_component, largest_component, bins + 1)
+def measure_distribution(table: pd.DataFrame, temperatures: pd.DataFrame, bins: int) -> pd.DataFrame:
+    """Density of the components of velocities over sqrt(temperature); the error is the jackknife's over balls."""
+    table, edges = _significant(table, temperatures), np.linspace(-4.0, 4.0, bins + 1)
     middle, width = (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
     balls = np.unique(table["ball"])
     if len(balls) < MIN_BALLS:

@@ -61,9 +61,8 @@ class HalfVelocities:
     @staticmethod
     def join(parts: Sequence[HalfVelocities]) -> HalfVelocities:
         """Make one of several."""
-        return HalfVelocities(
-            *(np.concatenate([getattr(p, one.name) for p in parts]) for one in fields(HalfVelocities))
-        )
+        names = [one.name for one in fields(HalfVelocities)]
+        return HalfVelocities(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def fit_velocities(
@@ -95,21 +94,10 @@ def _choose_rows(time: Floats, at: Floats, rows: int) -> Rows:
     return np.asarray(first[:, None] + np.arange(rows))
 
 
-def _fit_windows(
-    time: Floats,
-    position: Floats,
-    at: Floats,
-    window_rows: int,
-    slide_end: float,
-    *,
-    min_rows_of_halves: int = 8,
-    min_rows_of_parabola: int = 4,
-) -> HalfVelocities:
-    """Estimate velocities by `fit_velocities`, with a change of the acceleration at `slide_end` unless that is NaN.
-
-    min_rows_of_halves: of a window, from which each half has a parabola with an error.
-    min_rows_of_parabola: from which all rows together have one; fewer have a straight line.
-    """
+def _fit_windows(time: Floats, position: Floats, at: Floats, window_rows: int, slide_end: float) -> HalfVelocities:
+    """Estimate velocities by `fit_velocities`, with a change of the acceleration at `slide_end` unless that is NaN."""
+    min_rows_of_halves = 8  # of a window, from which each half has a parabola with an error
+    min_rows_of_parabola = 4  # from which all rows together have one; fewer have a straight line
     rows, m = min(window_rows, len(time)), len(at)
     if rows < 2 or not m:
         nothing = np.full((m, 2), np.nan)
@@ -120,9 +108,8 @@ def _fit_windows(
     if rows >= min_rows_of_halves + 2 * (change is not None):
         (even, gain_even), (odd, gain_odd) = (_slope(since[:, k::2], where[:, k::2], 3, change) for k in (0, 1))
         return HalfVelocities(even, odd, gain_even, gain_odd, np.zeros(m))
-    one, gain = _slope(
-        since, where, 3 if rows >= min_rows_of_parabola else 2, change if rows > min_rows_of_parabola else None
-    )
+    terms = 3 if rows >= min_rows_of_parabola else 2
+    one, gain = _slope(since, where, terms, change if rows > min_rows_of_parabola else None)
     return HalfVelocities(one, one.copy(), gain, gain.copy(), gain.copy())
 
 
@@ -142,29 +129,20 @@ def _slope(since: Floats, position: Floats, terms: int, change: Floats | None = 
     scale = np.abs(since).max(axis=1, keepdims=True)  # of the times, so that the equations are well conditioned
     design = (since / scale)[:, :, None] ** np.arange(terms)  # (m, k, terms)
     if change is not None:
-        design = np.concatenate([design, _bend(since, change[:, None], scale)[:, :, None]], axis=2)
+        after, before = (np.maximum(way, 0) / scale for way in (since - change[:, None], -change[:, None]))
+        bend = after**2 - before**2 - 2 * before * since / scale  # without value and slope at time 0
+        design = np.concatenate([design, bend[:, :, None]], axis=2)
     inverse = np.linalg.inv(np.swapaxes(design, 1, 2) @ design)
     coefficients = inverse @ np.swapaxes(design, 1, 2) @ position
     return coefficients[:, 1] / scale, inverse[:, 1, 1] / scale[:, 0] ** 2
 
 
-def _bend(since: Floats, change: Floats, scale: Floats) -> Floats:
-    """The way that a change of the acceleration makes, without value and slope at time 0; all arguments in s."""
-    after = np.maximum(since - change, 0) / scale
-    before = np.maximum(-change, 0) / scale  # the same at time 0
-    return np.asarray(after**2 - before**2 - 2 * before * since / scale)
-
-
-def find_slide_end(
-    time: Floats, position: Floats, noise: float, *, max_rows: int = 60, min_sigma: float = 5.0
-) -> float:
+def find_slide_end(time: Floats, position: Floats, noise: float) -> float:
     """Find the end of a slide between contacts, where a ball's acceleration changes; NaN if nowhere.
 
     Two parabolas with the same value and slope where they meet are compared with one; noise: of a coordinate, m.
-
-    max_rows: after a contact, in which the slide may end.
-    min_sigma: change of the acceleration, in its errors, that ends a slide.
     """
+    max_rows, min_sigma = 60, 5.0  # in which the slide may end; change of the acceleration, in its errors
     rows = min(len(time), max_rows)
     if rows < 6:
         return float("nan")
@@ -227,10 +205,10 @@ def cut_free_paths(balls: Sequence[BallTrack], contacts: pd.DataFrame, cuts: Pat
 
     contacts: columns t_s, particle1, particle2, in the order of time.
     """
-    paths = []
+    paths, at = [], contacts["t_s"].to_numpy(dtype=np.float64)
     for ball in balls:
         own = np.flatnonzero((contacts["particle1"] == ball.particle) | (contacts["particle2"] == ball.particle))
-        breaks = contacts["t_s"].to_numpy(dtype=np.float64)[own]
+        breaks = at[own]
         part = np.searchsorted(breaks, ball.time)
         gaps = np.flatnonzero(np.diff(ball.time) > cuts.max_gap_s) + 1
         for k in range(len(breaks) + 1):
@@ -240,21 +218,15 @@ def cut_free_paths(balls: Sequence[BallTrack], contacts: pd.DataFrame, cuts: Pat
                     continue
                 start = int(own[k - 1]) if k > 0 and rows[0] == inside[0] and rows[0] not in gaps else -1
                 end = int(own[k]) if k < len(breaks) and rows[-1] == inside[-1] and rows[-1] + 1 not in gaps else -1
-                paths.append(_fit_path(ball, rows, (start, end), contacts, breaks, cuts))
+                paths.append(_fit_path(ball, rows, (start, end), at, breaks, cuts))
     return paths
 
 
 def _fit_path(
-    ball: BallTrack,
-    rows: Rows,
-    ends: tuple[int, int],
-    contacts: pd.DataFrame,
-    breaks: Floats,
-    cuts: PathCuts,
+    ball: BallTrack, rows: Rows, ends: tuple[int, int], at: Floats, breaks: Floats, cuts: PathCuts
 ) -> FreePath:
-    """Estimate the velocities of one path, whose contacts are the rows `ends` of their table."""
+    """Estimate the velocities of one path, whose contacts are the rows `ends` of all, which happen `at` these times."""
     time = ball.time[rows]
-    at = contacts["t_s"].to_numpy(dtype=np.float64)
     first, last = (float(at[k]) if k >= 0 else float(edge) for k, edge in zip(ends, time[[0, -1]], strict=True))
     early, late = (float(cuts.margins_s[k]) if k >= 0 else 0.0 for k in ends)
     near = (time - first < early) | (last - time < late)
@@ -264,7 +236,10 @@ def _fit_path(
     unsure, step = np.zeros(len(time)), float(np.diff(ball.time).min(initial=1.0))
     if len(free) < 2 and min(ends) >= 0:
         places = [extrapolate_to_contact(ball, breaks, edge, later) for edge, later in ((first, False), (last, True))]
-        velocities = _chord(np.array([place for place, _ in places]), last - first, len(time) + 2)
+        (one, _), (other, _) = places
+        chord = np.tile((other - one) / (last - first), (len(time) + 2, 1))
+        gain = np.full(len(chord), 2 / (last - first) ** 2)
+        velocities = HalfVelocities(chord, chord.copy(), gain, gain.copy(), gain.copy())
         short = (early + late + step * (2 - sum(sure for _, sure in places))) / 4  # interpolation cuts the corners
         unsure += np.hypot(*velocities.even[0]) * min(short / (last - first), 0.5)
     if cuts.slides and ends[0] >= 0 and not (free < slide_end).sum() >= ROWS_OF_SLIDE:
@@ -286,10 +261,3 @@ def extrapolate_to_contact(ball: BallTrack, breaks: Floats, at: float, later: bo
         return np.array([np.interp(at, ball.time, axis) for axis in ball.position.T]), False
     (one, other), (start, end) = ball.position[rows], ball.time[rows]
     return one + (other - one) * (at - start) / (end - start), True
-
-
-def _chord(ends: Floats, duration: float, count: int) -> HalfVelocities:
-    """The mean velocity between the places (2, 2) of two contacts, `count` times."""
-    velocity = np.tile((ends[1] - ends[0]) / duration, (count, 1))
-    gain = np.full(count, 2 / duration**2)
-    return HalfVelocities(velocity, velocity.copy(), gain, gain.copy(), gain.copy())
