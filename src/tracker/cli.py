@@ -8,7 +8,7 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -50,13 +50,16 @@ Select = Annotated[
 Report = Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")]
 Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")]
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
+CameraFile = Annotated[Path | None, typer.Option(help="camera.json that replaces the source's own.")]
+NewCamera = Annotated[Path, typer.Option("-o", "--output", metavar="CAMERA.JSON", help="File to write.")]
+TrackerResults = Annotated[Path, typer.Argument(metavar="RESULTS", help="RESULTS of tracker track or measure.")]
 
 
 @app.command()
 def track(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Dataset, clip, stack, video, pictures or array.")],
     output: Results,
-    camera: Annotated[Path | None, typer.Option(help="camera.json that replaces the source's own.")] = None,
+    camera: CameraFile = None,
     detector: Annotated[str | None, typer.Option(help=f"{DETECTORS}. Without it the film decides.")] = None,
     channel: Annotated[
         str | None,
@@ -135,7 +138,7 @@ def open_workbench(
         typer.Option("-o", "--output", metavar="FOLDER", help="Where runs are written; default: FILM_workbench."),
     ] = None,
     film: Annotated[Path | None, typer.Option(help="The film of RESULTS, where it does not lie beside them.")] = None,
-    camera: Annotated[Path | None, typer.Option(help="camera.json that replaces the source's own.")] = None,
+    camera: CameraFile = None,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address alone.")] = False,
 ) -> None:
     """Open a film in a page on this machine: look at it, point at scale and balls, track it, correct it, read on.
@@ -234,17 +237,13 @@ def combine(
     names = [name.strip() for name in quantities.split(",")] if quantities else None
     found = combine_results(results, quantities=names)
     page = found.report(output, _typed())
-    if as_json:
-        print(json.dumps({"set": str(output), "page": str(page), **found.document()}))
-        return
-    for note in found.notes:
-        print(f"tracker: {note}", file=sys.stderr)
-    print("\n".join([*summarise_set(found.document(), found.quantities), f"{page}"]))
+    keys = {"set": str(output), "page": str(page), **found.document()}
+    _print_answer(keys, summarise_set(found.document(), found.quantities), page, as_json, found.notes)
 
 
 @app.command()
 def gas(
-    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="RESULTS of tracker track or measure.")],
+    results: TrackerResults,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="GAS", help="Folder to make.")],
     clip: Annotated[int | None, typer.Option(help="Number of the clip, where there are several.")] = None,
     area: Annotated[
@@ -264,26 +263,13 @@ def gas(
     check_not_read(output, results)
     found = observe_gas(results, number=clip, area=parse_area(area))
     page = found.report(output, _typed())
-    if as_json:
-        print(
-            json.dumps(
-                {
-                    "gas": str(output),
-                    "page": str(page),
-                    "values": replace_non_finite(found.values),
-                    "notes": found.notes,
-                }
-            )
-        )
-        return
-    for note in found.notes:
-        print(f"tracker: {note}", file=sys.stderr)
-    print("\n".join([*summarise_gas(found), f"{page}"]))
+    keys = {"gas": str(output), "page": str(page), "values": replace_non_finite(found.values), "notes": found.notes}
+    _print_answer(keys, summarise_gas(found), page, as_json, found.notes)
 
 
 @app.command()
 def export(
-    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="RESULTS of tracker track or measure.")],
+    results: TrackerResults,
     kind: Annotated[str, typer.Option("--format", metavar="NAME", help="csv, mot, ptc, trackmate or trackpy.")],
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="FILE|DIR", help="A file; of several clips, a folder.")
@@ -350,11 +336,7 @@ def score(
             if new:
                 shutil.rmtree(output, ignore_errors=True)
             raise
-    print(
-        json.dumps(verdict.to_dict())
-        if as_json
-        else "\n".join([*summarise_score(verdict), *filter(None, [verdict.note]), f"{path}"])
-    )
+    _print_answer(verdict.to_dict(), [*summarise_score(verdict), *filter(None, [verdict.note])], path, as_json)
 
 
 @app.command()
@@ -389,7 +371,7 @@ def calibrate(
     video: Annotated[Path, typer.Argument(metavar="VIDEO", help="Video, stack, pictures or clips of the balls.")],
     diameter: Annotated[float, typer.Option(help="Diameter of the balls, m.")],
     fps: Annotated[float, typer.Option(help="Frames a second.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="CAMERA.JSON", help="File to write.")],
+    output: NewCamera,
     exposure: Annotated[float | None, typer.Option(help="Exposure of a frame, s, if known.")] = None,
     gamma: Annotated[float, typer.Option(help="Counts are light to the power of 1/gamma: often 2.2.")] = 1.0,
     points: Annotated[
@@ -418,8 +400,7 @@ def calibrate(
 
         plate = calibrate_plate(video, (diameter, fps, exposure, gamma), points, board, error, height)
         plate.write(output)
-        keys = {"camera": str(output), **plate.to_dict()}
-        print(json.dumps(keys) if as_json else "\n".join([*plate.summary(), f"{output}"]))
+        _print_answer({"camera": str(output), **plate.to_dict()}, plate.summary(), output, as_json)
         return
     if error is not None or height is not None:
         raise InputError("--error, --height: expected --points or --board beside them")
@@ -427,13 +408,13 @@ def calibrate(
         result = calibrate_camera(video, diameter, fps, exposure, gamma, 0, progress, select)
     result.write(output)
     keys = {"camera": str(output), **result.to_dict()["calibration"], "scale": result.camera.scale}
-    print(json.dumps(keys) if as_json else "\n".join([*summarise_calibration(result), f"{output}"]))
+    _print_answer(keys, summarise_calibration(result), output, as_json)
 
 
 @app.command()
 def warp(
     results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="RESULTS of one camera.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="CAMERA.JSON", help="File to write.")],
+    output: NewCamera,
     as_json: Json = False,
 ) -> None:
     """Correct the camera's map by RESULTS: a smooth displacement of positions, from balls that slide and roll freely.
@@ -450,8 +431,7 @@ def warp(
     with progress_bar("warp") as progress:
         found = find_camera_warp(results, progress)
     found.write(output)
-    fit = found.to_dict()["calibration"]["warp"]
-    print(json.dumps({"camera": str(output), **fit}) if as_json else "\n".join([*found.summary(), f"{output}"]))
+    _print_answer({"camera": str(output), **found.to_dict()["calibration"]["warp"]}, found.summary(), output, as_json)
 
 
 def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
@@ -475,9 +455,22 @@ def _score_tables(found: Path, truth: Path, output: Path, gate: float | None, na
         raise InputError(f"--gate {gate:g}: expected a distance over 0")
     verdict = score_table(found, truth, gate, name)
     path = verdict.write(output)
-    for note in verdict.notes:
+    _print_notes(verdict.notes)
+    _print_answer(verdict.to_dict(), verdict.summary(), path, as_json)
+
+
+def _print_notes(notes: Iterable[object]) -> None:
+    for note in notes:
         print(f"tracker: {note}", file=sys.stderr)
-    print(json.dumps(verdict.to_dict()) if as_json else "\n".join([*verdict.summary(), f"{path}"]))
+
+
+def _print_answer(
+    keys: Mapping[str, Any], lines: Iterable[str], path: Path, as_json: bool, notes: Iterable[object] = ()
+) -> None:
+    """Print the keys as JSON, which hold the notes too, or the notes, the lines, and where the result is."""
+    if not as_json:
+        _print_notes(notes)
+    print(json.dumps(keys) if as_json else "\n".join([*lines, f"{path}"]))
 
 
 def _typed() -> str:
@@ -521,8 +514,7 @@ def _report(outcome: ClipOutcome, output: Path, extra: dict[str, Any], as_json: 
         print(f"tracker: {note}{f' ({clips} of {outcome.clips} clips)' if outcome.clips > 1 else ''}", file=sys.stderr)
     states = {str(k): int(v) for k, v in outcome.estimates["status"].value_counts().sort_index().items()}
     messages = list_messages(outcome.estimates, str(output))
-    for message in messages:
-        print(f"tracker: {message}", file=sys.stderr)
+    _print_notes(messages)
     if as_json:
         summary = {"results": str(output), "clips": outcome.clips, "fresh": outcome.fresh, "status": states, **extra}
         summary |= {"warnings": [str(message) for message in messages]}

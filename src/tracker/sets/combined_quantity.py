@@ -66,33 +66,18 @@ class CombinedQuantity:
             slope |= {"value": self.slope.coefficients[0], "value_std": self.slope.std[0]}
             slope |= {"scatter": self.slope.scatter}
         by_result = {name: {**_describe(one), "n": len(one.weights)} for name, one in self.by_result.items()}
-        return {
-            "n": len(self.values),
-            **_describe(self.mean),
-            "shared_std": self.mean.shared_std[0],
-            "scatter": self.mean.scatter,
-            "scatter_low": self.mean.scatter_low,
-            "scatter_high": self.mean.scatter_high,
-            "prediction": self.mean.prediction,
-            "q": self.mean.q,
-            "dof": self.mean.dof,
-            "p": self.mean.q_value,
-            "i2": self.mean.i2,
-            "birge": self.mean.birge,
-            "slope": slope,
-            "by_result": by_result,
-            "difference_p": self.difference_p,
-            "collisions": self.values.to_dict("records"),
-        }
+        mean, kept = self.mean, "scatter scatter_low scatter_high prediction q dof q_value i2 birge".split()
+        spread = {"p" if name == "q_value" else name: getattr(mean, name) for name in kept}
+        document = {"n": len(self.values), **_describe(mean), "shared_std": mean.shared_std[0], **spread}
+        document |= {"slope": slope, "by_result": by_result, "difference_p": self.difference_p}
+        return document | {"collisions": self.values.to_dict("records")}
 
 
-def combine_quantity(
-    name: str, values: pd.DataFrame, effects: Floats, *, min_values_of_slope: int = 4
-) -> CombinedQuantity:
-    """Combine the values of a quantity.
+def combine_quantity(name: str, values: pd.DataFrame, effects: Floats) -> CombinedQuantity:
+    """Combine the values of a quantity; fewer than four have no slope.
 
     values: result, clip, collision, fit, v_n, value, std of each collision. effects: (n, 1, k), of the errors of the
-    camera file that several share, as `shared_effects` gives them. min_values_of_slope: fewer values have no slope.
+    camera file that several share, as `shared_effects` gives them.
     """
     value, std, speed = (values[column].to_numpy(float) for column in ("value", "std", "v_n"))
     own, shared = remove_shared(std, effects), effects[:, 0]
@@ -100,21 +85,19 @@ def combine_quantity(
     known = np.isfinite(speed)
     middle = float(np.average(speed[known], weights=mean.weights[known])) if known.any() else np.nan
     slope = None
-    if known.sum() >= min_values_of_slope and np.ptp(speed[known]) > 0 and name not in WITHOUT_COLLISION:
+    if known.sum() >= 4 and np.ptp(speed[known]) > 0 and name not in WITHOUT_COLLISION:
         design = np.column_stack([np.ones(known.sum()), speed[known] - middle])
         slope = fit_random_effects(value[known], own[known], shared[known], design)
-    without = np.full((3, len(value)), np.nan)
-    if len(value) >= 3:
-        without = np.array(fit_means_without_each(value, own, shared))
+    several = len(value) >= 3
+    without = np.array(fit_means_without_each(value, own, shared)) if several else np.full((3, len(value)), np.nan)
     of = values["result"].to_numpy()
     groups = {str(one): of == one for one in dict.fromkeys(of)}
     by_result = {one: fit_random_effects(value[rows], own[rows], shared[rows]) for one, rows in groups.items()}
-    influence = (mean.coefficients[0] - without[0]) / mean.std[0]
     values = values.assign(
         weight=mean.weights,
         mean_without=without[0],
         scatter_without=np.sqrt(without[2]),
-        influence=influence,
+        influence=(mean.coefficients[0] - without[0]) / mean.std[0],
         z=(value - without[0]) / np.sqrt(own**2 + without[1] + without[2]),
     )
     return CombinedQuantity(name, values, mean, slope, middle, by_result, _compare(value, own, shared, groups))
@@ -146,22 +129,21 @@ def describe_scatter(one: CombinedQuantity, factor: float = 1.0) -> str:
     return f"scatter {middle} ({low} to {high})" if one.mean.scatter_low > 0 else f"scatter {middle} (at most {high})"
 
 
-def list_warnings(
-    one: CombinedQuantity, *, outlier_z: float = 4.0, min_influence: float = 1.0, max_p: float = 0.01
-) -> Iterable[str]:
-    """List in sentences what is unusual in the combined values of a quantity.
+def name_collision(row: pd.Series) -> str:
+    """Name a collision of a set by its result, clip and number."""
+    return f"{row['result']}, clip {row['clip']}, collision {row['collision']}"
 
-    outlier_z: standard errors, with the scatter, from the mean of the others.
-    min_influence: change of a mean, in its errors, by one collision that a note names.
-    max_p: p-value of a slope, or of a difference between results, that a note reports.
-    """
+
+def list_warnings(one: CombinedQuantity) -> Iterable[str]:
+    """List in sentences what is unusual in the combined values of a quantity."""
+    min_influence, outlier_z = 1.0, 4.0  # of one collision: on the mean, in its errors; from the mean of the others
+    max_p = 0.01  # of a slope, or of a difference between results
     mean, slope = one.mean, one.slope
     for _, row in one.values[np.abs(one.values["influence"]) > min_influence].iterrows():
-        which = f"{row['result']}, clip {row['clip']}, collision {row['collision']}"
-        whole = format_with_error(mean.coefficients[0], mean.std[0])
+        which, whole = name_collision(row), format_with_error(mean.coefficients[0], mean.std[0])
         yield f"{one.name}: {which} decides the mean: {row['mean_without']:.4g} without it, {whole} with it"
     for _, row in one.values[np.abs(one.values["z"]) > outlier_z].iterrows():
-        which = f"{row['result']}, clip {row['clip']}, collision {row['collision']}"
+        which = name_collision(row)
         far = f"{abs(row['z']):.1f} standard errors from the others, with the scatter"
         without = f"without it the mean is {row['mean_without']:.4g} and the scatter {row['scatter_without']:.2g}"
         yield f"{one.name}: {which} is {far}; {without}"

@@ -24,6 +24,7 @@ from synthcam_shared.settings import did_you_mean
 from tracker.measurement.camera_errors import shared_effects
 from tracker.measurement.joint_fit import fit_all_jointly
 from tracker.measurement.local.local_columns import calibrate_set
+from tracker.measurement.local.recommendation import SUFFIXES
 from tracker.measurement.messages import SAME_BODIES
 from tracker.recording import Result
 from tracker.results import RUN, clip_folder, load_json, replace_non_finite
@@ -38,7 +39,6 @@ from tracker.sets.set_page import write_set
 from tracker.tables.rows import make_tracks_table, to_csv
 
 Floats = NDArray[np.float64]
-SUFFIXES = {"tied": "", "free": "_free", "local": "_local"}  # of the columns, by the fit that is recommended
 SHARED_QUANTITIES = ("r", "s", "mu_k", "C", "drag", "decel")  # that collisions have in common
 
 
@@ -72,16 +72,13 @@ class CombinedSet:
     @cached_property
     def means(self) -> pd.DataFrame:
         """A row for each quantity: n, mean, std, scatter and its interval, i2, birge, slope (s/m) and its error."""
-        rows = {name: one.document() for name, one in self.quantities.items()}
-        slopes = {name: row["slope"] or {} for name, row in rows.items()}
         keys = "n mean std low high shared_std scatter scatter_low scatter_high i2 birge".split()
-        return pd.DataFrame(
-            {
-                name: {key: row[key] for key in keys}
-                | {"slope": slopes[name].get("slope", np.nan), "slope_std": slopes[name].get("std", np.nan)}
-                for name, row in rows.items()
-            }
-        ).T.astype({"n": int})
+        columns = {}
+        for name, one in self.quantities.items():
+            row = one.document()
+            slope = row["slope"] or {"slope": np.nan, "std": np.nan}
+            columns[name] = {key: row[key] for key in keys} | {"slope": slope["slope"], "slope_std": slope["std"]}
+        return pd.DataFrame(columns).T.astype({"n": int})
 
     @property
     def used(self) -> int:
@@ -105,18 +102,11 @@ class CombinedSet:
         dict
         """
         counts = self.table["result"].value_counts(sort=False)
-        document: dict[str, Any] = replace_non_finite(
-            {
-                "results": {str(name): int(count) for name, count in counts.items()},
-                "collisions": len(self.table),
-                "used": self.used,
-                "left_out": self.left_out,
-                "notes": list(self.notes),
-                "quantities": {name: one.document() for name, one in self.quantities.items()},
-                "chi2": self.chi2,
-            }
-        )
-        return document
+        document: dict[str, Any] = {"results": {str(name): int(count) for name, count in counts.items()}}
+        document |= {"collisions": len(self.table), "used": self.used, "left_out": self.left_out}
+        document |= {"notes": list(self.notes)}
+        document |= {"quantities": {name: one.document() for name, one in self.quantities.items()}, "chi2": self.chi2}
+        return dict(replace_non_finite(document))
 
     def report(self, folder: str | Path, command: str = "tracker.combine") -> Path:
         """Write set.json and index.html into a new folder, or over an earlier set.
@@ -189,8 +179,16 @@ def combine(
     notes += calibrated
     table["fit"] = _choose_fits(table)
     wanted = _choose_quantities(table, quantities)
-    rows = {name: _take_values(table, name) for name in wanted}
-    found = {name: _combine_values(table, name, values) for name, values in rows.items() if len(values)}
+    found = {}
+    for name in wanted:
+        values = _take_values(table, name)
+        if not len(values):
+            continue
+        used = table.loc[values.index]
+        effects = shared_effects(used, (name,), "tied", "rolling", "free")
+        if name == "mass_ratio":
+            effects[_is_turned(used)] *= -(values["value"].to_numpy()[_is_turned(used), None, None] ** 2)
+        found[name] = combine_quantity(name, values, effects)
     if not found:
         states = ", ".join(f"{count} {status}" for status, count in table["status"].value_counts().items())
         folders = ", ".join(f"{one}" for one in given if not isinstance(one, Result))
@@ -201,22 +199,20 @@ def combine(
     return CombinedSet(table, found, fit_all_jointly(table), tuple(notes))
 
 
-def _combine_values(table: pd.DataFrame, name: str, values: pd.DataFrame) -> CombinedQuantity:
-    """Combine the values of one quantity, with the camera's errors that they share."""
-    used = table.loc[values.index]
-    effects = shared_effects(used, (name,), "tied", "rolling", "free")
-    if name == "mass_ratio":
-        effects[_is_turned(used)] *= -(values["value"].to_numpy()[_is_turned(used), None, None] ** 2)
-    return combine_quantity(name, values, effects)
-
-
 def _read_all(given: Sequence[str | Path | Result]) -> tuple[pd.DataFrame, list[str]]:
     """The estimates of all results, without recordings given twice; columns `result` and `camera`; and notes."""
-    names = iter(_name_folders([Path(one) for one in given if not isinstance(one, Result)]))
+    folders = [Path(one).resolve() for one in given if not isinstance(one, Result)]
+    names = iter([folder.name for folder in folders])
+    if len(set(folders)) > 1:  # below the folder that holds all
+        common = os.path.commonpath([folder.parent for folder in folders])
+        names = iter([folder.relative_to(common).as_posix() for folder in folders])
     parts, seen, notes = [], dict[str, str](), list[str]()
     for one in given:
-        name = "memory" if isinstance(one, Result) else next(names)
-        part, marks = _read_memory(one) if isinstance(one, Result) else _read_folder(Path(one))
+        if isinstance(one, Result):
+            digest = hashlib.sha256(to_csv(make_tracks_table(one.found))).hexdigest()
+            name, part, marks = "memory", one.estimates, {one.number: [digest]}
+        else:
+            name, (part, marks) = next(names), _read_folder(Path(one))
         part, twice = _leave_out_repeated(part, marks, seen, name)
         parts.append(part.assign(result=name, camera=_describe_view(one)))
         notes += twice
@@ -256,15 +252,6 @@ def _calibrate_together(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     return table.drop(columns="camera").sort_index(), notes
 
 
-def _name_folders(folders: Sequence[Path]) -> list[str]:
-    """A short name for each folder: its path below the one that holds all."""
-    whole = [folder.resolve() for folder in folders]
-    if len(set(whole)) < 2:
-        return [folder.name for folder in whole]
-    common = os.path.commonpath([folder.parent for folder in whole])
-    return [folder.relative_to(common).as_posix() for folder in whole]
-
-
 def _read_folder(folder: Path) -> tuple[pd.DataFrame, dict[int, list[str]]]:
     """The estimates of one RESULTS, and by clip what its recording is known by: its tracks, and the run's input."""
     path = folder / "estimates.parquet"
@@ -286,10 +273,6 @@ def _read_folder(folder: Path) -> tuple[pd.DataFrame, dict[int, list[str]]]:
     return table, marks
 
 
-def _read_memory(result: Result) -> tuple[pd.DataFrame, dict[int, list[str]]]:
-    return result.estimates, {result.number: [hashlib.sha256(to_csv(make_tracks_table(result.found))).hexdigest()]}
-
-
 def _leave_out_repeated(
     table: pd.DataFrame, marks: Mapping[int, Sequence[str]], seen: dict[str, str], name: str
 ) -> tuple[pd.DataFrame, list[str]]:
@@ -306,9 +289,8 @@ def _leave_out_repeated(
         return table, []
     number, first = next(iter(twice.items()))
     more = f", and {len(twice) - 1} more" if len(twice) > 1 else ""
-    return table[~table["clip"].isin(list(twice))], [
-        f"recordings given twice count once: {name}, clip {number} is {first}{more}"
-    ]
+    note = f"recordings given twice count once: {name}, clip {number} is {first}{more}"
+    return table[~table["clip"].isin(list(twice))], [note]
 
 
 def _choose_fits(table: pd.DataFrame) -> pd.Series:
@@ -325,9 +307,8 @@ def _choose_fits(table: pd.DataFrame) -> pd.Series:
 def _choose_quantities(table: pd.DataFrame, asked: Sequence[str] | None) -> list[str]:
     """The quantities to combine. Raises InputError for one that no column has."""
     if asked is None:
-        return [
-            name for name in SHARED_QUANTITIES if any(f"{name}{suffix}_std" in table for suffix in SUFFIXES.values())
-        ]
+        fits = SUFFIXES.values()
+        return [name for name in SHARED_QUANTITIES if any(f"{name}{suffix}_std" in table for suffix in fits)]
     measured = {str(column).removesuffix("_std") for column in table.columns if str(column).endswith("_std")}
     names = sorted({re.sub("_(free|local|paper)$", "", column) for column in measured if column in table})
     for name in asked:

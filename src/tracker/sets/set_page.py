@@ -23,7 +23,7 @@ from synthcam_shared.report.page import (
     write_page,
 )
 from tracker.report.quantities import QUANTITIES, Quantity
-from tracker.sets.combined_quantity import CombinedQuantity, describe_scatter
+from tracker.sets.combined_quantity import CombinedQuantity, describe_scatter, name_collision
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -127,15 +127,10 @@ def _blocks(one: CombinedQuantity, caption: str) -> list[Block]:
     quantity = find_quantity(one.name)
     blocks: list[Block] = [PageFigure.of(draw_set(one), f"{one.name} of all collisions", caption)]
     if len(one.by_result) > 1:
-        rows = [
-            (
-                name,
-                str(len(fit.weights)),
-                _format(fit.coefficients[0], fit.std[0], quantity),
-                format_number(fit.scatter * quantity.factor, 2),
-            )
-            for name, fit in one.by_result.items()
-        ]
+        rows = []
+        for name, fit in one.by_result.items():
+            mean, scatter = _format(fit.coefficients[0], fit.std[0], quantity), fit.scatter * quantity.factor
+            rows.append((name, str(len(fit.weights)), mean, format_number(scatter, 2)))
         note = f"Probability of such differences, if there are none: {format_number(one.difference_p, 2)}."
         blocks.append(PageTable(["result", "n", "mean", "scatter τ"], rows, "Each result", note))
     known = one.values.dropna(subset=["influence"])
@@ -143,7 +138,7 @@ def _blocks(one: CombinedQuantity, caption: str) -> list[Block]:
         order = known["influence"].abs().sort_values(ascending=False, kind="stable").index[:5]
         lines = [
             (
-                f"{row['result']}, clip {row['clip']}, collision {row['collision']}",
+                name_collision(row),
                 str(row["fit"]),
                 _format(row["value"], row["std"], quantity),
                 f"{row['z']:.2f}",
@@ -173,12 +168,9 @@ def _chi2_blocks(fit: Mapping[str, Any]) -> list[Block]:
     return [CHI2, PageTable(["symbol", "value"], rows, "", note)]
 
 
-def draw_set(one: CombinedQuantity, *, max_named: int = 40) -> Figure:
-    """Draw the forest plot, the funnel plot and the values against v_n.
-
-    max_named: collisions of a forest plot that have a name.
-    """
-    named = len(one.values) <= max_named
+def draw_set(one: CombinedQuantity) -> Figure:
+    """Draw the forest plot, the funnel plot and the values against v_n."""
+    named = len(one.values) <= 40  # of a forest plot, whose collisions then have a name
     rows = len(one.values) + len(one.by_result) * (len(one.by_result) > 1) + 2
     height = float(np.clip(0.7 + (0.17 if named else 0.06) * rows, 3.6, 9.5))
     figure, (forest, funnel, line) = make_axes(1, 3, figsize=(11.2, height), width_ratios=[1.5, 1, 1])
