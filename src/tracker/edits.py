@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -53,7 +53,7 @@ class RemovePoint(Edit):
     frame: Number
 
     def change(self, tracks: Tracks) -> Tracks:
-        return _select_rows(tracks, np.flatnonzero(~self.find(tracks, self.frame)))
+        return tracks.take(~self.find(tracks, self.frame))
 
 
 class RemoveTrack(Edit):
@@ -63,7 +63,7 @@ class RemoveTrack(Edit):
     action: Literal["remove_track"]
 
     def change(self, tracks: Tracks) -> Tracks:
-        return _select_rows(tracks, np.flatnonzero(~self.find(tracks)))
+        return tracks.take(~self.find(tracks))
 
 
 class Exchange(Edit):
@@ -105,18 +105,9 @@ class AddPoint(Edit):
             if not frames[0] <= self.frame <= frames[-1]:
                 raise InputError(f"frame {self.frame}: expected {frames[0]} to {frames[-1]}, whose times are known")
             time = np.interp([self.frame], frames, tracks.time[first])
-        new = Tracks(
-            frame=np.array([self.frame], dtype=np.int64),
-            particle=np.array([self.ball], dtype=np.int64),
-            x=np.array([self.x]),
-            y=np.array([self.y]),
-            cov=cov,
-            flux=nan,
-            flags=np.array([BY_HAND], dtype=np.str_),
-            glint_x=nan,
-            glint_y=nan,
-            time=time,
-        )
+        frame, particle = (np.array([number], dtype=np.int64) for number in (self.frame, self.ball))
+        xy, flags = (np.array([self.x]), np.array([self.y])), np.array([BY_HAND], dtype=np.str_)
+        new = Tracks(frame, particle, *xy, cov, flux=nan, flags=flags, glint_x=nan, glint_y=nan, time=time)
         joined = {name: np.concatenate([values, getattr(new, name)]) for name, values in vars(tracks).items()}
         return _sort(replace(tracks, **joined))
 
@@ -173,8 +164,9 @@ class TrackEdits:
         return TrackEdits(tuple(build_settings(given, _EditsFile, "edits").edits), "edits")
 
     def to_keys(self) -> dict[str, Any]:
-        """The keys and values of the file."""
-        return {"edits": [_order_keys(edit) for edit in self.edits]}
+        """The keys and values of the file, the action of each edit first; without the clip where there is only one."""
+        every = [edit.model_dump(exclude_none=True) for edit in self.edits]
+        return {"edits": [{"action": keys.pop("action"), **keys} for keys in every]}
 
     def write(self) -> str:
         """The text of the file: a line for each edit."""
@@ -224,7 +216,8 @@ class TrackEdits:
                 where = f"{self.where}: edits.{k} (mark_contact)"
                 raise InputError(f"{where}: edits.{j} marks this contact, in frame {one.frame}; keep one of the two")
         counts = Counter(edit.noun for _, edit in own)
-        text = ", ".join(f"{count} {_write_plural(noun, count)}" for noun, count in counts.items())
+        nouns = [(count, *noun.partition(" ")) for noun, count in counts.items()]
+        text = ", ".join(f"{count} {first}{'s' * (count > 1)} {rest}" for count, first, _, rest in nouns)
         notes = (Note(NoteKind.EDIT, f"edited by hand: {text}", clip),) if own else ()
         return EditedTracks(tracks, contacts, notes)
 
@@ -232,20 +225,5 @@ class TrackEdits:
 EditsSource: TypeAlias = TrackEdits | Mapping[str, Any] | str | Path
 
 
-def _write_plural(noun: str, count: int) -> str:
-    first, _, rest = noun.partition(" ")
-    return f"{first}s {rest}" if count > 1 else noun
-
-
-def _order_keys(edit: AnyEdit) -> dict[str, Any]:
-    """Keys and values, the action first; without the clip where there is only one."""
-    values = edit.model_dump(exclude_none=True)
-    return {"action": values.pop("action"), **values}
-
-
-def _select_rows(tracks: Tracks, rows: Sequence[int] | NDArray[Any]) -> Tracks:
-    return replace(tracks, **{name: values[rows] for name, values in vars(tracks).items()})
-
-
 def _sort(tracks: Tracks) -> Tracks:
-    return _select_rows(tracks, np.lexsort((tracks.frame, tracks.particle)))
+    return tracks.take(np.lexsort((tracks.frame, tracks.particle)))

@@ -14,7 +14,7 @@ from synthcam_shared.outputs import (
     write_atomically,
 )
 from synthcam_shared.settings import did_you_mean
-from tracker.results import read_clip
+from tracker.results import list_clips, read_clip
 from tracker.tables.read import list_table_formats
 
 
@@ -27,18 +27,16 @@ def export(results: Path, kind: str, output: Path) -> int:
     if kind not in writers:
         hint = did_you_mean(kind, writers)
         raise InputError(f"--format {kind}: no such format; there are {', '.join(writers)}{hint}")
-    numbers = [file.parent.name for file in sorted((results / "clips").glob("[0-9]*/tracks.parquet"))]
-    if not numbers:
-        raise InputError(f"{results}: no clips/ with tracks in it, expected RESULTS, as tracker track makes them")
+    numbers = list_clips(results)
     if output.exists():
         raise InputError(f"{output}: exists, expected a new {'file' if len(numbers) == 1 else 'folder'}")
     check_writable(output)
     one = writers[kind]
     with as_input_error(output), open_scratch_folder(output) as aside:
         for number in numbers:
-            write_atomically(aside / f"{number}{one.SUFFIX}", one.write(*read_clip(results, int(number))))
+            write_atomically(aside / f"{number:06d}{one.SUFFIX}", one.write(*read_clip(results, number)))
         if len(numbers) == 1:
-            (aside / f"{numbers[0]}{one.SUFFIX}").replace(output)
+            (aside / f"{numbers[0]:06d}{one.SUFFIX}").replace(output)
         else:
             publish_folder(aside, output)
     return len(numbers)

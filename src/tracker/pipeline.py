@@ -86,9 +86,8 @@ def run(
     edited.check_frames(first.number, first.frames.numbers)
     films, said = replace(films, channel=first.channel), make_notes(NoteKind.CHANNEL, [why])
     if films.camera is None and (films.path.is_file() or is_zarr(films.path)):
-        said += make_notes(
-            NoteKind.ASSUMED, [f"camera: {file}; --camera takes another" for file in films.camera_files()]
-        )
+        texts = [f"camera: {file}; --camera takes another" for file in films.camera_files()]
+        said += make_notes(NoteKind.ASSUMED, texts)
     clips, frames, notes = len(films), 0, Counter[Note]()
     with showing_steps("frames", progress) if clips == 1 else nullcontext():
         selected = select_detector(first) if detector is None else None
@@ -205,12 +204,8 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any], done: Sequence[int] | No
     note = folder / results.RUN
     if not folder.is_dir() or not note.is_file():
         raise InputError(f"{folder}: exists and holds something else, expected a new folder for the results")
-    known = results.load_json(note)
-    known = (
-        {k: v for k, v in known.items() if k not in (results.EXPOSURE_SEEN_KEY, results.OTHER_DETECTORS_KEY)}
-        if isinstance(known, dict)
-        else {}
-    )
+    found, later = results.load_json(note), (results.EXPOSURE_SEEN_KEY, results.OTHER_DETECTORS_KEY)
+    known = {k: v for k, v in found.items() if k not in later} if isinstance(found, dict) else {}
     if known == plan:
         return
     if done is not None and {**known, "edits": None} == {**plan, "edits": None}:
@@ -218,10 +213,8 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any], done: Sequence[int] | No
         if all(_edits_of(was, number) == _edits_of(now, number) for number in done):
             return
     names = [name for name in sorted({*known, *plan}) if known.get(name) != plan.get(name)]
-    differs = ", ".join(
-        f"{name} {known.get(name)} instead of {plan.get(name)}" if name in ("detector", "clips", "made_by") else name
-        for name in names
-    )
+    told = {k: f"{k} {known.get(k)} instead of {plan.get(k)}" for k in ("detector", "clips", "made_by")}
+    differs = ", ".join(told.get(name, name) for name in names)
     if folder.suffix == ".partial":
         advice = "remove it, or repeat the interrupted command, which then continues"
         raise InputError(f"{folder}: left by an interrupted run of other options or files ({differs}); {advice}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -153,9 +153,8 @@ class Result:
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        of_unit = {"m/s": "v0 v1f v2f", "s": "t_c tau1 tau2", "rad": "final_angle", "1/s": "drag", "m/s^2": "decel"} | {
-            "rad/s": "w1n w1t w2n w2t"
-        }
+        of_unit = {"m/s": "v0 v1f v2f", "s": "t_c tau1 tau2", "rad": "final_angle"}
+        of_unit |= {"1/s": "drag", "m/s^2": "decel", "rad/s": "w1n w1t w2n w2t"}
         units = {name: unit for unit, names in of_unit.items() for name in names.split()}
         parts = [f"<p>{repr(self).partition(chr(10))[0]}</p>"]
         for row in self.rows:
@@ -408,10 +407,8 @@ def _measure_given(
         found.append(replace(result, notes=_name_arguments(*given.notes, *result.notes)))
     every = calibrate_set([row for result in found for row in result.rows])
     ends = np.cumsum([len(result.rows) for result in found])
-    return [
-        replace(result, rows=tuple(every[end - len(result.rows) : end]))
-        for result, end in zip(found, ends, strict=True)
-    ]
+    parts = (tuple(every[end - len(result.rows) : end]) for result, end in zip(found, ends, strict=True))
+    return [replace(result, rows=rows) for result, rows in zip(found, parts, strict=True)]
 
 
 def _name_arguments(*notes: Note) -> tuple[Note, ...]:
@@ -468,17 +465,13 @@ def _track_by_choice(
     if not first.reason:
         succeeds &= not second.loose_ends.are_most and follow_bodies(second.tracks, second.camera.size)
         found = f"specks and no collision ({first.loose_ends.describe()})"
-        if succeeds and _has_collision(first, settings):
+        rows = measure_clip(first.tracks, first.camera, settings.fit)[0] if succeeds else []
+        if any(row["status"] in MEASURED for row in rows):
             return selected, replace(first, hint="")
     if not succeeds:
         return selected, replace(first, hint=LooseEnds.NO_BODIES)
     why = f"detector: {other}, because {selected.name} finds {found}; --detector overrides this"
     return SelectedDetector(other, why), second if other == DISCS else replace(second, hint=LooseEnds.NO_BODIES)
-
-
-def _has_collision(tracked: TrackedClip, settings: TrackerSettings) -> bool:
-    rows, _ = measure_clip(tracked.tracks, tracked.camera, settings.fit)
-    return any(row["status"] in MEASURED for row in rows)
 
 
 def measure_tracks(
@@ -491,9 +484,8 @@ def measure_tracks(
 ) -> Result:
     """Measure tracks made elsewhere as `track_and_measure` does its own."""
     settings = settings or FitSettings()
-    check_particles(
-        tracks, number, settings, "For all write `fit: {{max_particles: {}}}` into a file of settings (--settings FILE)"
-    )
+    advice = "For all write `fit: {{max_particles: {}}}` into a file of settings (--settings FILE)"
+    check_particles(tracks, number, settings, advice)
     repaired = _repair(tracks, camera, number, point)
     edited = (edits or TrackEdits()).apply(repaired.tracks, number)
     rows, motion = measure_clip(edited.tracks, camera, settings, edited.contacts)
@@ -546,9 +538,7 @@ def track_clip(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracke
     spans = [(int(numbers[first]), int(numbers[last])) for first, last in stored]
     glints = replace(found.glints, frame=numbers[found.glints.frame])
     if clip.area is not None:
-        column, row = (
-            np.clip(np.rint(at), 0, n - 1).astype(int) for at, n in zip(glints.xy.T, view.camera.size, strict=True)
-        )
+        column, row = np.clip(np.rint(glints.xy), 0, np.array(view.camera.size) - 1).astype(int).T
         glints = glints.take(np.flatnonzero(clip.area[row, column]))
     takes = spans if view.takes is not None else ()
     linker = load_linker(name, view.camera, settings.link)
@@ -580,5 +570,4 @@ def measure_clip(
     except InputError:
         raise
     except (ArithmeticError, ValueError, IndexError) as error:  # one clip never costs the others
-        nothing = replace(tracks, **{f.name: getattr(tracks, f.name)[:0] for f in fields(tracks)})
-        return [make_empty_row(camera, describe_failure(error))], make_motion_table(nothing, camera, {})
+        return [make_empty_row(camera, describe_failure(error))], make_motion_table(tracks.take(slice(0)), camera, {})

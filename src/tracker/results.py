@@ -44,6 +44,14 @@ def clip_folder(results: Path, number: int) -> Path:
     return results / "clips" / f"{number:06d}"
 
 
+def list_clips(results: Path) -> list[int]:
+    """List the numbers of the clips with tracks in RESULTS. Raises InputError where there are none."""
+    numbers = sorted(int(file.parent.name) for file in (results / "clips").glob("[0-9]*/tracks.parquet"))
+    if not numbers:
+        raise InputError(f"{results}: no clips/ with tracks in it, expected RESULTS, as tracker track makes them")
+    return numbers
+
+
 def is_clip_done(results: Path, number: int) -> bool:
     """Test whether a clip in RESULTS is complete, by its mark."""
     return clip_folder(results, number).is_dir()
@@ -86,9 +94,7 @@ def finish_results(partial: Path, final: Path, numbers: Iterable[int]) -> pd.Dat
     order = sorted(numbers)
     calibrate_local(partial, order)
     table = gather_estimates(partial, order)
-    # without pandas' own metadata, which names the versions of libraries
-    plain = pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(None)
-    _write_parquet(partial / "estimates.parquet", plain)
+    _write_parquet(partial / "estimates.parquet", table)
     write_json(partial / "fit.json", fit_all_jointly(table))
     _write_contacts(partial, order)
     cameras = {n: load_json(clip_folder(partial, n) / "camera.json") for n in order}
@@ -111,15 +117,12 @@ def _write_contacts(results: Path, numbers: Sequence[int]) -> None:
         own = pyarrow.parquet.read_table(clip_folder(results, number) / "tracks.parquet", columns=["particle"])
         if pc.count_distinct(own["particle"]).as_py() < 3:
             continue
-        rows = read_rows(results, number)
-        tracks, camera = read_clip(results, number)
-        table = tabulate_contacts(tracks, camera, rows)
+        table = tabulate_contacts(*read_clip(results, number), read_rows(results, number))
         if len(table):
             parts.append(table.assign(clip=number)[["clip", *table.columns]])
     if parts:
         every = pd.concat(parts, ignore_index=True)
-        plain = pa.Table.from_pandas(every, preserve_index=False).replace_schema_metadata(None)
-        _write_parquet(results / CONTACTS, plain)
+        _write_parquet(results / CONTACTS, every)
         write_atomically(results / "contacts.csv", every.to_csv(index=False, lineterminator="\n"))
 
 
@@ -160,10 +163,7 @@ def read_rows(results: Path, number: int) -> list[dict[str, Any]]:
 
 def gather_estimates(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
     """Gather all clips' estimates of RESULTS, one row a collision, ``clip`` first."""
-    rows = []
-    for number in numbers:
-        rows += [{"clip": number, **row} for row in read_rows(results, number)]
-    return make_estimates_table(rows)
+    return make_estimates_table({"clip": number, **row} for number in numbers for row in read_rows(results, number))
 
 
 def make_estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
@@ -191,7 +191,9 @@ def write_json(path: Path, value: Any) -> None:
     write_atomically(path, json.dumps(replace_non_finite(value), indent=1, sort_keys=False) + "\n")
 
 
-def _write_parquet(path: Path, table: pa.Table) -> None:
+def _write_parquet(path: Path, table: pa.Table | pd.DataFrame) -> None:
+    if isinstance(table, pd.DataFrame):  # without pandas' own metadata, which names the versions of libraries
+        table = pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(None)
     with BytesIO() as stream:
         pyarrow.parquet.write_table(table, stream)
         write_atomically(path, stream.getvalue())

@@ -68,6 +68,10 @@ class Tracks(RowArrays):
         """Positions (n, 2), px."""
         return np.stack([self.x, self.y], axis=1)
 
+    def take(self, rows: Ints | NDArray[np.bool_] | slice) -> Tracks:
+        """Those rows."""
+        return replace(self, **{name: values[rows] for name, values in vars(self).items()})
+
 
 def link_into_tracks(
     glints: Glints,

@@ -39,20 +39,19 @@ def repair_tracks(tracks: Tracks, camera: Camera, clip: int | None = None) -> Re
         return RepairedTracks(tracks)
     order = np.lexsort((tracks.frame, tracks.particle))
     if not np.array_equal(order, np.arange(len(order))):
-        tracks = _select(tracks, order)
+        tracks = tracks.take(order)
     notes, diameter = list[Note](), camera.diameter_px
     lost = find_unreachable_positions(tracks, diameter)[1]
     # a point on the path of another ball may be one of an exchange
     lost[lost] = ~_is_near_another(tracks, lost, diameter)
-    kept, lost_frames = _select(tracks, np.flatnonzero(~lost)), tracks.frame[lost].tolist()
+    kept, lost_frames = tracks.take(np.flatnonzero(~lost)), tracks.frame[lost].tolist()
     if lost.any():
         tracks = kept
     exchanged, frames, unsure = undo_exchanges(tracks, diameter)
     if frames:
         text = f"balls exchange their numbers in {_name_frames(frames)}; exchanged back, which makes their paths smooth"
         notes.append(Note(NoteKind.REPAIR, text, clip, tuple(frames)))
-        order = np.lexsort((tracks.frame, exchanged))
-        tracks = _select(replace(tracks, particle=exchanged), order)
+        tracks = replace(tracks, particle=exchanged).take(np.lexsort((tracks.frame, exchanged)))
     if unsure:
         text = f"balls may exchange their numbers in {_name_frames(unsure)}; they move too far in a frame to be certain"
         notes.append(Note(NoteKind.REPAIR, text, clip, tuple(unsure)))
@@ -70,21 +69,18 @@ def repair_tracks(tracks: Tracks, camera: Camera, clip: int | None = None) -> Re
         notes.append(Note(NoteKind.REPAIR, text, clip, (first, last)))
     if gone.any() or (renumbered != tracks.particle).any():
         tracks = replace(tracks, particle=renumbered)
-        tracks = _select(tracks, np.flatnonzero(~gone)[np.lexsort((tracks.frame[~gone], renumbered[~gone]))])
+        tracks = tracks.take(np.flatnonzero(~gone)[np.lexsort((tracks.frame[~gone], renumbered[~gone]))])
     return RepairedTracks(tracks, tuple(notes))
 
 
-def undo_exchanges(
-    tracks: Tracks, diameter: float, *, max_gap_frames: int = 3, max_step_diameters: float = 1.75
-) -> tuple[Ints, list[int], list[int]]:
+def undo_exchanges(tracks: Tracks, diameter: float) -> tuple[Ints, list[int], list[int]]:
     """Undo exchanges of the numbers of balls in tracks: the numbers, their frames, and frames that are not certain.
 
     Balls are assigned to their last positions so that all move least. Two balls that touch are a diameter apart, so
     that numbers exchanged even at a hit cost two diameters more.
-
-    max_gap_frames: frames between two sightings that can show an exchange.
-    max_step_diameters: of a ball between two sightings; beyond it an exchange is not certain.
     """
+    max_gap_frames = 3  # between two sightings that can show an exchange
+    max_step_diameters = 1.75  # of a ball between two sightings; beyond it an exchange is not certain
     particle, frame, xy = np.array(tracks.particle, dtype=np.int64), np.asarray(tracks.frame), tracks.xy
     renamed = particle.copy()
     follows = np.flatnonzero((np.diff(particle) == 0) & (np.diff(frame) <= max_gap_frames)) + 1
@@ -137,14 +133,9 @@ def _cycles(found: NDArray[np.intp]) -> Iterator[list[int]]:
             yield cycle
 
 
-def find_unreachable_positions(
-    tracks: Tracks, diameter: float, *, min_path_positions: int = 5
-) -> tuple[Ints, NDArray[np.bool_]]:
-    """Numbers of particles, new ones for paths far from a ball's own, and the rows of lost points.
-
-    min_path_positions: positions that make a path of their own.
-    """
-    xy = tracks.xy
+def find_unreachable_positions(tracks: Tracks, diameter: float) -> tuple[Ints, NDArray[np.bool_]]:
+    """Numbers of particles, new ones for paths far from a ball's own, and the rows of lost points."""
+    min_path_positions, xy = 5, tracks.xy  # the former make a path of their own
     renumbered, gone = np.array(tracks.particle, dtype=np.int64), np.zeros(len(tracks), dtype=bool)
     following = int(renumbered.max(initial=-1)) + 1
     far = (np.diff(tracks.particle) == 0) & (np.hypot(*np.diff(xy, axis=0).T) > diameter)
@@ -236,10 +227,6 @@ def _longest_chain(pieces: list[Ints], frame: Ints, xy: Floats, diameter: float)
         chain.append(k)
         k = source[k]
     return chain[::-1]
-
-
-def _select(tracks: Tracks, rows: Ints) -> Tracks:
-    return replace(tracks, **{name: values[rows] for name, values in vars(tracks).items() if len(values)})
 
 
 def _name_frames(frames: list[int]) -> str:
