@@ -189,7 +189,7 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
         def values(error: CameraError, by: float, fit: LastingFit = fit, shift: Floats = shift) -> Floats:
             problem = LastingResiduals(error.pair(fits.pair, by, camera.fps), fit.problem.kind)
             moved = replace(fit, problem=problem, x=fit.x + by * shift[:, errors.index(error)])
-            return np.append(moved.values().value, moved.times(moved.x)[:2].sum())
+            return np.append(moved.values().value, moved.times(moved.x).sum())
 
         response = differentiate_by_camera(errors, values)
         changed[name] = replace(getattr(read, name), chi2=fit.chi2 - explained)
@@ -201,20 +201,14 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
 
 
 def add_contact_errors(
-    fit: CollisionFit,
-    values: DerivedValues,
-    camera: Camera,
-    distance: tuple[float, float],
-    *,
-    hard_contact_s: float = 3e-4,
+    fit: CollisionFit, values: DerivedValues, camera: Camera, distance: tuple[float, float]
 ) -> DerivedValues:
     """Add errors to a fit of an impact for a contact that is too short to be seen.
 
     distance: of the centres at the contact, as `measure_contact_distance` gives it. The longest contact that it leaves
-    open lets the paths cross within one diameter, and plate friction presses the balls together while it lasts. A
-    contact under `hard_contact_s` adds nothing.
-    hard_contact_s: steel, glass and billiard balls touch for .02 to .3 ms.
+    open lets the paths cross within one diameter, and plate friction presses the balls together while it lasts.
     """
+    hard_contact_s = 3e-4  # a shorter one adds nothing: steel, glass and billiard balls touch for .02 to .3 ms
     value = dict(zip(QUANTITY_NAMES, values.value, strict=True))
     nearer = (max(1 - distance[0], 0.0) + distance[1]) * fit.pair.diameter  # m, by which the paths may cross within
     closing = value["v0"] * np.sqrt(max(1 - value["b"] ** 2, 0.1))
@@ -323,22 +317,20 @@ def shared_effects(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floa
     found: dict[tuple[str, float], dict[int, Floats]] = {}
     columns = (rows.get(name, [""] * len(rows)) for name in ("cov", "local_shared", "fit"))
     for i, (cov, local, fit) in enumerate(zip(*columns, strict=True)):
-        for key, of, by_name in _list_local(local) if fit == "local" else _list_shared(cov, (fit, *fits)):
+        given = json.loads(local) if fit == "local" and isinstance(local, str) and local else {}
+        own = ((key, block["of"], block["effect"]) for key, block in given.items())
+        for key, of, by_name in own if fit == "local" else _list_shared(cov, (fit, *fits)):
             effect = np.array([by_name.get(name, 0.0) for name in names], dtype=np.float64)
             found.setdefault((key, of), {})[i] = np.nan_to_num(effect)
     several = [effects for effects in found.values() if len(effects) > 1]
     out = np.zeros((len(rows), len(names), len(several)))
     for k, effects in enumerate(several):
-        for i, effect in effects.items():
-            out[i, :, k] = effect
+        out[list(effects), :, k] = list(effects.values())
     return out
 
 
-SharedError = tuple[str, float, dict[str, float | None]]  # key, its value, and the effect on each quantity
-
-
-def _list_shared(cov: Any, fits: Sequence[str]) -> Iterator[SharedError]:
-    """Iterate over the errors of the camera file in `cov`, for the first of these fits that it has."""
+def _list_shared(cov: Any, fits: Sequence[str]) -> Iterator[tuple[str, float, dict[str, float | None]]]:
+    """Iterate over the errors in `cov`: key, its value, and effects by quantity, for the first of these fits."""
     if not isinstance(cov, str) or '"shared"' not in cov:
         return
     table = json.loads(cov)
@@ -346,12 +338,6 @@ def _list_shared(cov: Any, fits: Sequence[str]) -> Iterator[SharedError]:
         effects = next((block[one] for one in fits if one in block), None)
         if effects is not None:
             yield key, block["of"], dict(zip(table["names"], effects, strict=True))
-
-
-def _list_local(text: Any) -> Iterator[SharedError]:
-    """Iterate over the errors in `local_shared`."""
-    for key, block in json.loads(text).items() if isinstance(text, str) and text else ():
-        yield key, block["of"], block["effect"]
 
 
 def covariance_of_shared(effects: Floats) -> Floats:

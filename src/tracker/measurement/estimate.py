@@ -14,7 +14,7 @@ Quantities that a clip does not show are NaN.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -131,33 +131,20 @@ def measure(
     resized = [track.scale_errors(size) for track in balls]
     if len(balls) >= settings.crowd_particles:  # few contacts have fits of their own, which could confirm the size
         return measure_balls(resized if size.ratio > 1 else balls)
-    if size.ratio > 1:
-        rows = measure_balls(resized)
-        too_good = compute_p_value_of_free_fits(rows, size) > 1 - settings.rejection_level
-        return _measure_between(rows, balls, size, measure_balls, settings) if too_good else rows
-    rows = measure_balls(balls)
-    correlated = any(row["noise"] == "scatter" for row in rows)  # such errors scatter little from frame to frame
-    # whole fits confirm that errors are smaller than claimed
-    confirmed = compute_p_value_of_free_fits(rows, size, size.ratio) > 1e-3
-    return measure_balls(resized) if confirmed and not correlated else rows
-
-
-def _measure_between(
-    wide: list[dict[str, Any]],
-    balls: list[BallTrack],
-    size: ScatterRatio,
-    measure_balls: Callable[[list[BallTrack]], list[dict[str, Any]]],
-    settings: FitSettings,
-) -> list[dict[str, Any]]:
-    """The rows where the residuals of the free fits are smaller than the scatter, by which `wide` was measured.
-
-    The scatter then included kinks of the paths, or is uneven. The claimed errors are kept if the free fits accept
-    them. Otherwise the residuals of the free fits give the size of the errors.
-    """
-    rows = measure_balls(balls)
-    if compute_p_value_of_free_fits(rows, replace(size, dof=np.inf)) >= settings.rejection_level:
+    rows = measure_balls(resized if size.ratio > 1 else balls)
+    if size.ratio <= 1:
+        correlated = any(row["noise"] == "scatter" for row in rows)  # such errors scatter little from frame to frame
+        # whole fits confirm that errors are smaller than claimed
+        confirmed = compute_p_value_of_free_fits(rows, size, size.ratio) > 1e-3
+        return measure_balls(resized) if confirmed and not correlated else rows
+    if not compute_p_value_of_free_fits(rows, size) > 1 - settings.rejection_level:
         return rows
-    square, dof = np.sum([(row["chi2_free"], row["dof_free"]) for row in wide if row["dof_free"] > 0], axis=0)
+    # The residuals of the free fits are smaller than the scatter, which included kinks of the paths, or is uneven. The
+    # claimed errors are kept if the free fits accept them. Otherwise those residuals give the size of the errors.
+    claimed = measure_balls(balls)
+    if compute_p_value_of_free_fits(claimed, replace(size, dof=np.inf)) >= settings.rejection_level:
+        return claimed
+    square, dof = np.sum([(row["chi2_free"], row["dof_free"]) for row in rows if row["dof_free"] > 0], axis=0)
     left = ScatterRatio(size.ratio * float(square / dof), float(dof))
     return measure_balls([track.scale_errors(left) for track in balls])
 
@@ -433,8 +420,8 @@ def _value_columns(read: CollisionFits, camera: Camera) -> dict[str, Any]:
     common = effects_to_json(camera, {"tied": tied.shared, "free": free.shared})
     row: dict[str, Any] = {"cov": _covariances_to_json({"tied": tied.cov, "free": free.cov}, QUANTITY_NAMES, common)}
     for suffix, values in (("", tied), ("_free", free)):
-        for i, name in enumerate(QUANTITY_NAMES):
-            row[f"{name}{suffix}"], row[f"{name}{suffix}_std"] = values.value[i], values.std[i]
+        for name, value, std in zip(QUANTITY_NAMES, values.value, values.std, strict=True):
+            row[f"{name}{suffix}"], row[f"{name}{suffix}_std"] = value, std
     at = [TIED.index(name) for name in ("heading", "x", "y", *SPIN, *TARGET)]
     row |= dict(zip(("heading", "x1", "y1", *BEFORE), read.tied.parameters[at].tolist(), strict=True))
     for column, name in zip(BEFORE, SPIN, strict=False):
@@ -456,8 +443,7 @@ def _earlier_hits(read: CollisionFits, earlier: dict[int, EarlierHit]) -> dict[i
     ends = [FREE.index(name) for name in ("log_tau1", "log_tau2")]
     both = (np.asarray(tied_to_free(tied, pair.spin), dtype=np.float64), read.free.parameters)
     late = np.max([free[0] + np.exp(free[ends]) for free in both], axis=0)
-    beta, v0, c = (tied[TIED.index(name)] for name in ("beta", "v0", "C"))
-    side = tied[TIED.index("side")]
+    beta, v0, c, side = (tied[TIED.index(name)] for name in ("beta", "v0", "C", "side"))
     turn = -c * (v0 * np.sin(beta) + pair.spin + side)  # R dw = (5/2) n x J/m, the same for both
     return {
         ball.particle: EarlierHit(float(end), earlier.get(ball.particle, EarlierHit()).spin + float(turn + spin))
@@ -465,20 +451,17 @@ def _earlier_hits(read: CollisionFits, earlier: dict[int, EarlierHit]) -> dict[i
     }
 
 
-def select_claims(
-    read: CollisionFits, *, encoded_outlines: float = 1.5, least_p_of_motion: float = 0.01
-) -> tuple[DerivedValues, DerivedValues]:
+def select_claims(read: CollisionFits) -> tuple[DerivedValues, DerivedValues]:
     """Select what the row of estimates may claim from each fit, tied and free.
 
     A value is NaN where the clip does not show it; it has no error where the data reject the fit. The free fit of a
     misfit has none either if other laws of sliding and rolling fit better. Whatever breaks the laws of the tied fit may
     break these too.
-
-    encoded_outlines: the factor by which errors of outlined balls in lossy video exceed those of residuals. A fit
-    absorbs part of what the codec moves. Without it, rms z of mu_k in 40 drawn films of eight codecs was 1.58 +- .12,
-    that of v0 1.29.
     """
-    settings = read.settings
+    # The factor by which errors of outlined balls in lossy video exceed those of residuals. A fit absorbs part of what
+    # the codec moves. Without it, rms z of mu_k in 40 drawn films of eight codecs was 1.58 +- .12, that of v0 1.29.
+    encoded_outlines = 1.5
+    settings, pair = read.settings, read.contact.pair
     # without an end in view, slide time and final velocity trade freely: no minimum, and none is needed
     if read.unseen is not None:
         unseen = set(read.unseen)
@@ -495,21 +478,19 @@ def select_claims(
         b = QUANTITY_NAMES.index("b")
         if not abs(read.free_values.value[b]) > 10 * read.free_values.std[b]:  # s is a ratio by b
             unseen |= {"s"}
-        if read.contact.pair.fitted_spin:
+        if pair.fitted_spin:
             unseen |= {"C"}  # the free fit has no spin of the striker before the hit
     assumed = unseen if read.tied_is_straight else set[str]()  # nothing follows from laws of slides
     tied = _within_limits(read.tied_values, False, assumed, settings)
     free = _within_limits(read.free_values, True, unseen, settings)
     if read.is_misfit:
         tied, free = tied.without_errors(QUANTITY_NAMES), free.without_errors(("C", *_SPINS_FROM_LAWS))
-    encoded, outlined = read.contact.pair.striker.encoded, read.contact.pair.striker.outlined
-    through_a_codec = ("v0", "b", "t_c", "r")  # what a free fit of a lossy film claims although it is rejected
-    if encoded and read.is_misfit:  # the residuals show what the codec does to the paths near the contact
+    if pair.striker.encoded and read.is_misfit:  # the residuals show what the codec does to the paths near the contact
         wider = replace(free, cov=free.cov * variance_of_residuals(read.free))
-        return tied, wider.without_errors([name for name in QUANTITY_NAMES if name not in through_a_codec])
-    if encoded and outlined:
+        return tied, wider.without_errors([name for name in QUANTITY_NAMES if name not in ("v0", "b", "t_c", "r")])
+    if pair.striker.encoded and pair.striker.outlined:
         tied, free = (replace(values, cov=values.cov * encoded_outlines**2) for values in (tied, free))
-    is_trusted = read.is_free_accepted and not (read.is_misfit and read.p_motion < least_p_of_motion)
+    is_trusted = read.is_free_accepted and not (read.is_misfit and read.p_motion < 0.01)
     return tied, free if is_trusted else free.without_errors(QUANTITY_NAMES)
 
 

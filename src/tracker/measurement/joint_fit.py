@@ -64,9 +64,14 @@ def predict_quantities(v0: Floats, b: Floats, shared: Floats) -> Floats:
 
 
 def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
-    columns = [f"{name}_free{end}" for name in (*OBSERVED, *GIVEN) for end in ("", "_std")]
+    names = (*OBSERVED, *GIVEN)
+    columns = [f"{name}_free{end}" for name in names for end in ("", "_std")]
     rows = ok.dropna(subset=columns) if set(columns) <= set(ok.columns) else ok.iloc[:0]
-    covs = [_covariance_of_observed(row) for _, row in rows.iterrows()]
+    covs = []
+    for _, row in rows.iterrows():
+        cov = _read_covariance(row, names, "free")
+        diagonal = np.diag([float(row[f"{name}_free_std"]) ** 2 for name in names])  # where the row has no matrix
+        covs.append(cov if cov is not None and _positive(cov) else diagonal)
     good = np.array([_positive(cov) for cov in covs], dtype=bool)
     if not good.any():
         return dict.fromkeys([*SHARED, *(f"{name}_std" for name in SHARED), "chi2"]) | {"dof": 0}
@@ -75,7 +80,7 @@ def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
     v0, b = (rows[f"{n}_free"].to_numpy(float) for n in GIVEN)
     steepest = 0.9999  # |b/2R|: the formulas need its neighbourhood
     b = np.clip(b, -steepest, steepest)
-    common = shared_effects(rows, (*OBSERVED, *GIVEN), "free")  # what each shared error adds to seen, v0 and b
+    common = shared_effects(rows, names, "free")  # what each shared error adds to seen, v0 and b
     weights = np.stack(covs)[good] - covariance_of_shared(common)
     start = np.append([0.8, 0.2, 0.2], np.zeros(common.shape[2]))
     for _ in range(3):  # the errors of v0 and b count too, and how much depends on r, mu_k, C
@@ -112,15 +117,6 @@ def _read_covariance(row: pd.Series, names: Sequence[str], *fits: str) -> Floats
     return np.array(block, dtype=np.float64)[np.ix_(pick, pick)]
 
 
-def _covariance_of_observed(row: pd.Series) -> Floats:
-    """Covariance (6, 6) of OBSERVED and GIVEN in one clip; diagonal where the row carries no matrix."""
-    names = (*OBSERVED, *GIVEN)
-    cov = _read_covariance(row, names, "free")
-    if cov is not None and _positive(cov):
-        return cov
-    return np.diag([float(row[f"{n}_free_std"]) ** 2 for n in names])
-
-
 def _positive(cov: Floats) -> bool:
     """Test whether a matrix is positive definite beyond rounding."""
     if not np.isfinite(cov).all() or not (np.diag(cov) > 0).all():
@@ -135,9 +131,8 @@ def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
     slope = np.zeros((n, 4, 6))
     slope[:, range(4), range(4)] = 1.0
     for column, (dv, db) in enumerate(((1e-6, 0.0), (0.0, 1e-6)), start=4):
-        slope[:, :, column] = (
-            -(predict_quantities(v0 + dv, b + db, shared) - predict_quantities(v0 - dv, b - db, shared)) / 2e-6
-        )
+        more, less = predict_quantities(v0 + dv, b + db, shared), predict_quantities(v0 - dv, b - db, shared)
+        slope[:, :, column] = -(more - less) / 2e-6
     cov = slope @ covs @ np.swapaxes(slope, 1, 2)
     size, axes = np.linalg.eigh(cov)
     least = np.maximum(size, MIN_EIGENVALUE * size[:, -1:])

@@ -56,8 +56,6 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
     Misfits come first, then flags, then errors of the positions that differ from the claimed ones. The messages name
     the folder `results`.
     """
-    if "flags" not in estimates:  # results of an older version
-        return []
     notes = []
     p_values = estimates[["adequate", "adequate_free", "agree"]].min(axis=1)
     lasts = estimates["flags"].str.contains(Flag.LASTS_OR_SMALLER)
@@ -66,12 +64,14 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
     if len(rejected):
         measured = int(estimates["status"].isin(MEASURED).sum())
         median = float((rejected["chi2"] / rejected["dof"]).median())
+        others = int(rejected["recommended"].isin(["local", "free"]).sum())
+        have = f" {others} of them {'have' if others != 1 else 'has'} another estimate with errors." if others else ""
         text = (
             f"{len(rejected)} of {_count(measured)} {'do' if len(rejected) != 1 else 'does'} not fit the model"
             f" (median chi2/dof {median:.3g}).\n"
             "  Likely causes, the most frequent first: the compression of a video, bodies that do not roll, a"
             " wrong scale, a tilted plate, unequal balls, a striker that slides or spins.\n"
-            f"  The values of their tied fits are indicative and carry no errors.{_name_others(rejected)}"
+            f"  The values of their tied fits are indicative and carry no errors.{have}"
             f" To find the cause: discrepancy find {results} --model MODEL"
         )
         notes.append(Note(NoteKind.MISFIT, text))
@@ -79,7 +79,8 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
     flags = Counter(flag for row in estimates["flags"] for flag in row.split("|") if flag)
     for name, count in sorted(flags.items()):
         flagged = estimates[[name in text.split("|") for text in estimates["flags"]]]
-        text = _EXPLANATIONS.get(name, "").format(duration=_name_duration(flagged), frames=_name_frames(flagged))
+        duration = f"{1e3 * flagged['contact_duration_s'].median():.3g} ms" + (" (median)" if len(flagged) > 1 else "")
+        text = _EXPLANATIONS.get(name, "").format(duration=duration, frames=_name_frames(flagged))
         notes.append(Note(NoteKind.FLAG, f"{name} ({_count(count)}): {text}"))
     ratio = estimates["noise_ratio"].dropna().to_numpy(float)
     if len(ratio):
@@ -98,17 +99,8 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
     return notes
 
 
-def _name_others(rejected: pd.DataFrame) -> str:
-    if "recommended" not in rejected:
-        return ""
-    count = int(rejected["recommended"].isin(["local", "free"]).sum())
-    return f" {count} of them {'have' if count != 1 else 'has'} another estimate with errors." if count else ""
-
-
 def _describe_local(estimates: pd.DataFrame) -> list[Note]:
     """Describe the errors of local estimates and what they say about the masses, where one is recommended."""
-    if "recommended" not in estimates:
-        return []
     used, texts = estimates[estimates["recommended"] == "local"], list[str]()
     if not len(used):
         return []
@@ -136,8 +128,8 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
             f" {np.median(ratio[unequal]):.3g} (median). Either the masses differ, and ball_masses in the camera file"
             " gives them, or a ball lifts off or hits something else. Energies are those of equal masses"
         )
-    shared = used.get("local_shared", pd.Series("{}", used.index)).map(json.loads)
-    fitted = used[["mass_ratio" in effects for effects in shared]]  # effects of the camera may name it too
+    # effects of the camera may name it too
+    fitted = used[["mass_ratio" in effects for effects in used["local_shared"].map(json.loads)]]
     if len(fitted):
         row = fitted.iloc[0]
         texts.append(
@@ -147,13 +139,8 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
     return [Note(NoteKind.FLAG, text) for text in texts]
 
 
-def _name_duration(rows: pd.DataFrame) -> str:
-    median = float(rows.get("contact_duration_s", pd.Series(dtype=float)).median())
-    return f"{1e3 * median:.3g} ms" + (" (median)" if len(rows) > 1 else "")
-
-
 def _name_frames(rows: pd.DataFrame) -> str:
-    if len(rows) != 1 or "contact_first" not in rows:
+    if len(rows) != 1:
         return "the frames in contact"
     first, last = (int(rows[column].iloc[0]) for column in ("contact_first", "contact_last"))
     return f"frames {first} to {last}" if last > first else f"frame {first}"

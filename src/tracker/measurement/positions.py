@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.camera import Camera
-from tracker.camera.warp import Warp
 from tracker.detection.glints import SHADED_POSITION_ERROR_RADII, PositionFlag
 from tracker.detection.link import Tracks
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
@@ -56,6 +55,11 @@ class BallTrack:
         """(n,) s, middle of each exposure."""
         return self.start + self.exposure / 2
 
+    @property
+    def variance(self) -> Floats:
+        """(n,) m^2, of a coordinate, the mean of both."""
+        return np.asarray(np.trace(self.cov, axis1=1, axis2=2) / 2)
+
     @cached_property
     def whiten(self) -> PositionWhitener:
         """By the positions' full covariance."""
@@ -94,20 +98,20 @@ def measure_separation(
     return frames, np.hypot(*(one.position[mine] - other.position[its]).T), mine, its
 
 
-def to_ball_tracks(tracks: Tracks, camera: Camera, *, default_glint_width_px: float = 1.0) -> list[BallTrack]:
+def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
     """Convert tracks from pixels to metres on the plate, one BallTrack for each particle in order of its number.
 
     Rows without a finite position are left out. If not every row has a covariance, all get that of the tracks' own
     scatter about smooth motion.
-
-    default_glint_width_px: where the camera file has none.
     """
+    default_glint_width_px = 1.0  # where the camera file has none
     xy = np.column_stack([tracks.x, tracks.y]).astype(np.float64)
     keep = np.isfinite(xy).all(axis=1)
     xy, frame, particle = xy[keep], np.asarray(tracks.frame)[keep].astype(np.int64), np.asarray(tracks.particle)[keep]
     position, slope = camera.unproject(xy)
     pixel, fixed = (np.asarray(c, dtype=np.float64)[keep] for c in (tracks.cov, tracks.fixed))
-    weighed = _usable(pixel)
+    determinant = pixel[:, 0, 0] * pixel[:, 1, 1] - pixel[:, 0, 1] * pixel[:, 1, 0]
+    weighed = len(pixel) > 0 and bool(np.all((determinant > 0) & (pixel[:, 0, 0] > 0)))  # NaN is not
     if not weighed:
         pixel, fixed = np.broadcast_to(np.eye(2) * UNKNOWN_ERROR_PX**2, pixel.shape), np.zeros_like(pixel)
     cov, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (pixel, np.nan_to_num(fixed)))
@@ -144,19 +148,16 @@ def to_ball_tracks(tracks: Tracks, camera: Camera, *, default_glint_width_px: fl
         found = _with_codec_noise(found, camera)
     if not weighed and (size := measure_scatter(found)) is not None:
         found = [track.scale_errors(size) for track in found]
-    return found if camera.warp is None or not camera.warp.std else [_add_warp_error(one, camera.warp) for one in found]
+    if (warp := camera.warp) is None or not warp.std:
+        return found
+    own = warp.std**2 * np.eye(2)  # of an error that lasts while a ball moves on
+    return [replace(b, cov=b.cov + own, fixed=b.fixed + own, warp=(warp.std, warp.length)) for b in found]
 
 
-def _add_warp_error(track: BallTrack, warp: Warp) -> BallTrack:
-    """Add the error of the camera's warp, which lasts while a ball moves on, to the errors of positions."""
-    own = warp.std**2 * np.eye(2)
-    return replace(track, cov=track.cov + own, fixed=track.fixed + own, warp=(warp.std, warp.length))
-
-
-def _limit_drift(drift: tuple[float, float], cov: Floats, own_share: float = 1e-3) -> tuple[float, float]:
-    """A drift that leaves each position at least `own_share` of its variance: the ball may look smaller than it is."""
+def _limit_drift(drift: tuple[float, float], cov: Floats) -> tuple[float, float]:
+    """A drift that leaves each position a share of its variance: the ball may look smaller than it is."""
     least = float(np.linalg.eigvalsh(cov)[:, 0].min())
-    return min(drift[0], float(np.sqrt((1 - own_share) * least))), drift[1]
+    return min(drift[0], float(np.sqrt((1 - 1e-3) * least))), drift[1]
 
 
 def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]:
@@ -170,7 +171,7 @@ def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]
     # share z is 1 in 600 clips of two seeds, at crf 18, 23 and 28 (errors of .063, .078 and .105 px).
     share, at_px, max_share = 0.25, 0.075, 0.45
     length_px = 250.0  # distance over which the errors persist
-    size, every = measure_scatter(balls), [np.trace(track.cov, axis1=1, axis2=2) / 2 for track in balls]
+    size, every = measure_scatter(balls), [track.variance for track in balls]
     off = float(np.median(np.concatenate(every))) * (size.ratio if size else 1.0) / camera.scale**2 if balls else 0.0
     persistent, out = min(share * off / at_px**2, max_share), []
     for track, variances in zip(balls, every, strict=True):
@@ -179,9 +180,3 @@ def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]
         wider = replace(track, cov=track.cov + shift, fixed=track.fixed + shift, drift=drift)
         out.append(track if track.drift[0] else wider)
     return out
-
-
-def _usable(pixel: Floats) -> bool:
-    """Test whether all covariances (n, 2, 2) are positive definite; NaN is not."""
-    determinant = pixel[:, 0, 0] * pixel[:, 1, 1] - pixel[:, 0, 1] * pixel[:, 1, 0]
-    return len(pixel) > 0 and bool(np.all((determinant > 0) & (pixel[:, 0, 0] > 0)))

@@ -135,12 +135,12 @@ class CollisionFits:
             found = [(flag, one) for flag, one in self.tied_departures.items() if self.is_explained_by(one)]
         return max(found, key=lambda item: item[1].significance)[0] if found else None
 
-    def is_explained_by(self, departure: LawDeparture, *, least_p: float = 0.05) -> bool:
+    def is_explained_by(self, departure: LawDeparture) -> bool:
         """Test whether the data accept the tied fit with one departure as a further parameter.
 
         The free fit assumes the law too, so that the data may reject it.
-        least_p: least p-value. Small departures of other kinds, such as unequal friction or masses, leave less.
         """
+        least_p = 0.05  # small departures of other kinds, such as unequal friction or masses, leave less
         left = replace(self.tied, chi2=self.tied.chi2 - departure.significance**2, dof=self.tied.dof - 1)
         read = replace(self, tied=left)
         return min(read.p_tied, read.p_agree) > least_p
@@ -157,13 +157,8 @@ class CollisionFits:
         better = [tied.get(flag, one) for flag, one in by_free.items()] if is_accepted else None
         tied_values = average_over_departures(self.tied_values, by_tied)
         free_values = average_over_departures(self.free_values, list(by_free.values()), better)
-        return replace(
-            self,
-            tied_values=tied_values,
-            free_values=free_values,
-            tied_departures=tied,
-            free_departures=free,
-        )
+        averaged = replace(self, tied_values=tied_values, free_values=free_values)
+        return replace(averaged, tied_departures=tied, free_departures=free)
 
     def _without_departures(self) -> CollisionFits:
         return replace(self, tied_departures={}, free_departures={})
@@ -214,8 +209,12 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
         if not _is_same_minimum(first, second):
             again = _fit_with_noise(contact, [*others, guess], second)
             read = min(read, again, key=_reduced_chi2)
-    if _is_accepted(read) or _is_explained_by_friction(read):
-        return read
+    if not isinstance(read, str):
+        # Friction that changes with the speed of slip explains the residuals without another striker. Unequal rolling
+        # losses do not count here: a fit without the first positions of the striker then gives right values.
+        slope = None if read.is_tied_accepted else find_slope_of_friction(read.tied)
+        if read.is_tied_accepted or (slope is not None and read.is_explained_by(slope)):
+            return read
     least = better_striker * _reduced_chi2(read)
     for other in list_alternative_strikers(contact, guess if isinstance(read, str) else read.tied.parameters):
         pair = other.contact.pair
@@ -235,15 +234,6 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
     return read
 
 
-def _is_explained_by_friction(read: CollisionFits | str) -> bool:
-    """Decide whether friction that changes with the speed of slip explains the residuals, without another striker.
-
-    Unequal rolling losses do not count here: a fit without the first positions of the striker then gives right values.
-    """
-    slope = None if isinstance(read, str) else find_slope_of_friction(read.tied)
-    return isinstance(read, CollisionFits) and slope is not None and read.is_explained_by(slope)
-
-
 def _is_too_bad(pair: BallPair, chi2: float, dof: int, least: float) -> bool:
     """Decide whether a fit is rejected, and its chi^2 per degree of freedom is not below `least` either."""
     return (
@@ -258,9 +248,7 @@ def _bound_chi2_of_sliding(pair: BallPair, start: Floats) -> tuple[float, int]:
     It is the least chi^2 of the free motion, of which the tied motions are a part. From a bad start, a descent of the
     tied motion takes long and ends far above it.
     """
-    free = fit_motion(
-        pair, False, [np.asarray(tied_to_free(start, pair.spin), dtype=np.float64)], tolerance=ROUGH_TOLERANCE
-    )
+    free = fit_motion(pair, False, [np.asarray(tied_to_free(start, pair.spin), dtype=np.float64)], ROUGH_TOLERANCE)
     return free.chi2, free.dof + len(FREE) - len(TIED)
 
 
@@ -369,12 +357,13 @@ def _fit_both(contact: Contact, starts: list[Floats], tied: CollisionFit | None 
     return read if tied.converged or not read.is_tied_accepted else "the fit did not converge"
 
 
-def _prefer_possible(pair: BallPair, tied: CollisionFit, worse: float = 10.0) -> CollisionFit:
+def _prefer_possible(pair: BallPair, tied: CollisionFit) -> CollisionFit:
     """Prefer a tied fit with possible values by which the balls slide until they are last seen.
 
     Balls that move on in a straight line after the hit either slid for a very short time or never roll. The positions
-    do not decide, but the first may need an impossible restitution. worse: chi^2 by which the other fit may be worse.
+    do not decide, but the first may need an impossible restitution.
     """
+    worse = 10.0  # chi^2 by which the other fit may be worse
 
     def is_possible(fit: CollisionFit) -> bool:
         return not find_impossible_values(derive_quantities(fit), 1.0, pair.settings.impossible_sigma)

@@ -69,9 +69,9 @@ class MarkedContact(NamedTuple):
     other: int
     frame: int
 
-    def is_near(self, particles: Collection[int], frame: int, *, max_frames: int = 5) -> bool:
-        """Test whether a contact of two particles is this one."""
-        return set(particles) == {self.one, self.other} and abs(frame - self.frame) <= max_frames
+    def is_near(self, particles: Collection[int], frame: int) -> bool:
+        """Test whether a contact of two particles is this one, by five frames or fewer between them."""
+        return set(particles) == {self.one, self.other} and abs(frame - self.frame) <= 5
 
 
 def find_contacts(
@@ -140,9 +140,9 @@ def find_near_pairs(balls: list[BallTrack], diameter: float, steps: float) -> It
             yield ball, balls[i + 1 + j]
 
 
-def find_slow_contacts(balls: list[BallTrack], diameter: float, span: int = 40) -> list[ContactCandidate]:
-    """Find contacts that noise hides from frame to frame: balls that approach, touch and part over `span` frames."""
-    out = []
+def find_slow_contacts(balls: list[BallTrack], diameter: float) -> list[ContactCandidate]:
+    """Find contacts that noise hides from frame to frame: balls that approach, touch and part over many frames."""
+    out, span = [], 40
     for a, b in find_near_pairs(balls, diameter, 1.0):
         frames, apart, _, _ = measure_separation(a, b)
         if len(frames) < 12:

@@ -231,7 +231,11 @@ class LastingFit:
     @property
     def free(self) -> Floats:
         """(22,) parameters."""
-        return np.asarray(self.problem.to_free(self.x), dtype=np.float64)
+        return self.to_free(self.x)
+
+    def to_free(self, x: Floats) -> Floats:
+        """The free parameters (..., 22) of x (..., p)."""
+        return np.asarray(self.problem.to_free(x), dtype=np.float64)
 
     def slopes(self, function) -> Floats:  # type: ignore[no-untyped-def]
         """Derivatives (m, p) of a function of x (..., p)."""
@@ -240,13 +244,12 @@ class LastingFit:
         return np.asarray((moved / (2 * size[:, None])).T, dtype=np.float64)
 
     def times(self, x: Floats) -> Floats:
-        """(..., 3) of x (..., p): seconds from the first touch to t_c, from t_c to the end; d in diameters."""
-        before, after, _, _ = self._passage(x)
-        return np.stack([before, after, x[..., -1] / self.diameter], -1)
+        """(..., 2) of x (..., p): seconds from the first touch to t_c, and from t_c to the end."""
+        return np.stack(self._passage(x)[:2], -1)
 
     def _passage(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return times from the first touch to t_c and on to the end, s, and radial speeds at both; x: (..., p)."""
-        free = np.asarray(self.problem.to_free(x), dtype=np.float64)
+        free = self.to_free(x)
         d, n, t = (np.asarray(a, dtype=np.float64) for a in compute_unit_vectors(free[..., 3], free[..., 4]))
         v0, distance = free[..., 5], x[..., -1]
         before = np.asarray(time_before_crossing(free[..., 4], v0, distance, self.diameter), dtype=np.float64)
@@ -266,12 +269,12 @@ class LastingFit:
 
     def at_touch(self, x: Floats) -> Floats:
         """The free parameters (..., 22) of x (..., p), the slides beginning at the first touch."""
-        free = np.asarray(self.problem.to_free(x), dtype=np.float64)
+        free = self.to_free(x)
         return free if self.problem.kind == "straight" else rewind_slides(free, self.times(x)[..., 0])
 
     def restitution(self, x: Floats) -> Floats:
         """(..., 3): the restitution, the part of friction in it, and the error of what the law of the force changes."""
-        free = np.asarray(self.problem.to_free(x), dtype=np.float64)
+        free = self.to_free(x)
         _, after, closing, parting = self._passage(x)
         n = np.asarray(compute_unit_vectors(free[..., 3], free[..., 4])[1], dtype=np.float64)
         at_crossing = dot(free[..., 8:10] - free[..., 13:15], n)
@@ -317,7 +320,7 @@ class LastingFit:
         """
         share, spread = 0.2, 0.12
         whole, at = self.problem.whole(self.x[:-2]), QUANTITY_NAMES.index
-        before, after, _ = self.times(self.x)
+        before, after = self.times(self.x)
         closing, mu = whole[5] * np.cos(whole[4]), np.exp(whole[9])
         late = 1.5 * delay_of_slides(closing, whole[8], whole[9], before)  # the most that any of the laws delays them
         slide = (1 + whole[8]) / 2 * whole[5] / (SLIP_RATE * mu * GRAVITY)
@@ -389,14 +392,17 @@ def fit_lasting_contact(
     best = max(fits, key=_sigmas_within)
     lasting = None
     step = float(np.median(np.diff(pair.striker.start)))
-    if _sigmas_within(best) > least_sigma and fit.times(fit.x)[:2].sum() > min_duration_frames * step:
+    if _sigmas_within(best) > least_sigma and fit.times(fit.x).sum() > min_duration_frames * step:
         lasting = _measure_duration(best, pair, window)
     elif not is_straight or abs(_sigmas_within(best)) > least_sigma:
-        return (
-            None
-            if is_straight or shows_friction(tied.values(), settings)
-            else _find_straight_alternative(fit, pair, level)
-        )
+        if is_straight or shows_friction(tied.values(), settings):
+            return None
+        # straight lines may describe an impact whose slides no fit shows
+        straight = LastingFit.to(outside, "straight", [_straighten(fit, pair)])
+        p = compute_p_value(straight.chi2, straight.dof, outside.striker.noise_dof)
+        if p < 1e-3 or _momentum_p(straight) < level:
+            return None
+        return LastingFits(None, outside, straight, straight, (False, False), _may_hide_slide(straight))
     if is_straight:
         balanced = not _momentum_p(fit) < level
         if lasting is None and not balanced:
@@ -404,7 +410,8 @@ def fit_lasting_contact(
         return LastingFits(lasting, outside, fit, fit, (False, False), _may_hide_slide(fit), balanced)
     left = float(np.exp(fit.free[_TAU]).min()) - fit.times(fit.x)[1]  # of the slides once the balls have parted, s
     hides = left < MIN_FRAMES * step or (not shows_friction(tied.values(), settings) and _may_hide_slide(tied))
-    return LastingFits(lasting, outside, tied, fit, _slide_ends_seen(fit), hides)
+    one, two = (_is_slide_end_seen(fit, ball, track) for ball, track in outside.balls)
+    return LastingFits(lasting, outside, tied, fit, (one, two), hides)
 
 
 def _find_frames_in_contact(pair: BallPair, window: tuple[int, int]) -> tuple[LastingFit, tuple[int, int]] | str | None:
@@ -427,8 +434,8 @@ def _find_frames_in_contact(pair: BallPair, window: tuple[int, int]) -> tuple[La
 
 def _measure_duration(best: LastingFit, pair: BallPair, window: tuple[int, int]) -> LastingContact:
     """The duration of a contact by its best fit, and whether the frames left out show that the paths bend there."""
-    before, after, _ = best.times(best.x)
-    both = best.slopes(best.times)[:2].sum(axis=0)
+    before, after = best.times(best.x)
+    both = best.slopes(best.times).sum(axis=0)
     own = float(both @ best.cov @ both) * max(1.0, best.chi2 / best.dof)
     _, friction, _ = best.restitution(best.x)
     duration_std = float(np.hypot(np.sqrt(own), 0.15 * friction * (before + after)))
@@ -456,7 +463,7 @@ def _momentum_p(straight: LastingFit) -> float:
     """p-value of the momentum that equal balls gain in a hit, which is none."""
 
     def gain(x: Floats) -> Floats:
-        free = np.asarray(straight.problem.to_free(x), dtype=np.float64)
+        free = straight.to_free(x)
         launch, _, _ = compute_unit_vectors(free[..., 3], free[..., 4])
         after = free[..., 8:10] + free[..., 13:15]
         return np.asarray(after - 2 * free[..., -2:] - free[..., 5, None] * np.real(launch), dtype=np.float64)
@@ -568,7 +575,7 @@ def _guess(pair: BallPair, first: int, last: int) -> list[Floats]:
 
 def _widen(fit: LastingFit, pair: BallPair, window: tuple[int, int]) -> tuple[int, int]:
     """Frames in contact by a fit, no fewer than before; one more on a side if the frames beside them do not fit."""
-    before, after, _ = fit.times(fit.x)
+    before, after = fit.times(fit.x)
     step = float(np.median(np.diff(pair.striker.start)))
     margin = 0.5 * step + 0.05 * max(before + after, 0.0)
     begin, end = fit.x[0] - before - margin, fit.x[0] + after + margin
@@ -594,7 +601,7 @@ def _widen(fit: LastingFit, pair: BallPair, window: tuple[int, int]) -> tuple[in
 
 def _bend(fit: LastingFit, pair: BallPair, window: tuple[int, int]) -> float:
     """Standard errors by which the paths bend in the frames left out, as by a constant force, instead of breaking."""
-    before, after, _ = fit.times(fit.x)
+    before, after = fit.times(fit.x)
     _, normal, _ = compute_unit_vectors(fit.x[3], fit.x[4])
     parts = []
     for ball, track in pair.balls:
@@ -614,14 +621,10 @@ def _bend(fit: LastingFit, pair: BallPair, window: tuple[int, int]) -> float:
     return float(weight @ off.ravel() / np.sqrt(weight @ shape.ravel()))
 
 
-def _slide_ends_seen(free: LastingFit) -> tuple[bool, bool]:
-    """For each ball whether it stops to slide in view, after the contact."""
-    seen = []
-    for end, (_, track) in zip(_TAU, free.problem.pair.balls, strict=True):
-        left = track.start[-1] - free.x[0]
-        k = int(np.flatnonzero(free.problem.index == end)[0])
-        seen.append(bool(np.exp(free.x[k]) < 0.9 * left and free.cov[k, k] < 0.2**2))
-    return seen[0], seen[1]
+def _is_slide_end_seen(free: LastingFit, ball: int, track: BallTrack) -> bool:
+    """Decide whether a ball stops to slide in view, after the contact."""
+    k = free.problem.names.index(f"log_tau{ball}")
+    return bool(np.exp(free.x[k]) < 0.9 * (track.start[-1] - free.x[0]) and free.cov[k, k] < 0.2**2)
 
 
 def _straighten(free: LastingFit, pair: BallPair) -> Floats:
@@ -638,16 +641,6 @@ def shows_friction(tied: DerivedValues, settings: FitSettings) -> bool:
     """Test whether a tied fit of a contact determines the friction on the plate."""
     mu = QUANTITY_NAMES.index("mu_k")
     return bool(tied.std[mu] < settings.max_relative_error * tied.value[mu])
-
-
-def _find_straight_alternative(free: LastingFit, pair: BallPair, level: float) -> LastingFits | None:
-    """Straight lines that describe an impact whose slides no fit shows; None if the data reject them."""
-    outside = free.problem.pair
-    straight = LastingFit.to(outside, "straight", [_straighten(free, pair)])
-    p = compute_p_value(straight.chi2, straight.dof, outside.striker.noise_dof)
-    if p < 1e-3 or _momentum_p(straight) < level:
-        return None
-    return LastingFits(None, outside, straight, straight, (False, False), _may_hide_slide(straight))
 
 
 def _may_hide_slide(straight: LastingFit) -> bool:
@@ -688,7 +681,7 @@ def _tied_starts(free: LastingFit) -> list[Floats]:
 
 def _as_free(fit: LastingFit) -> CollisionFit:
     """A free fit as those of instantaneous contacts at the distance where the paths cross."""
-    slope = fit.slopes(lambda x: np.asarray(fit.problem.to_free(x), dtype=np.float64))
+    slope = fit.slopes(fit.to_free)
     pair = replace(fit.problem.pair, diameter=float(fit.x[-1]))
     return CollisionFit(fit.free, slope @ fit.cov @ slope.T, fit.chi2, fit.dof, pair, 0, fit.converged)
 

@@ -308,8 +308,10 @@ class _Balances(NamedTuple):
         starts = [np.append([np.log(error), np.log(error), 0.5], zeros) for error in (0.003, 0.03)]
         sizes = np.append([0.5, 0.5, 0.5], zeros + 0.02)
         simplex = np.vstack([0 * sizes, np.diag(sizes)])
-        options = [{"initial_simplex": simplex + x, "maxfev": 4000} for x in starts]
-        tries = (minimize(price, x, method="Nelder-Mead", options=o) for x, o in zip(starts, options, strict=True))
+        tries = (
+            minimize(price, x, method="Nelder-Mead", options={"initial_simplex": simplex + x, "maxfev": 4000})
+            for x in starts
+        )
         best = min(tries, key=lambda m: float(m.fun))
         return np.asarray(best.x[3:], dtype=np.float64), float(best.fun)
 

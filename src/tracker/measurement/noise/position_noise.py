@@ -82,11 +82,8 @@ def measure_scatter(balls: Sequence[BallNoise]) -> ScatterRatio | None:
 def find_bent_windows(course: BallNoise) -> Ints:
     """Find windows whose scatter is no noise, because motion is not smooth there (p < 1e-6): frames (m,)."""
     starts, left, _ = _windows(course)
-    return (
-        starts[left > np.median(left) * chdtri(DOF_PER_WINDOW, 1e-6) / chdtri(DOF_PER_WINDOW, 0.5)]
-        if len(left)
-        else starts
-    )
+    limit = chdtri(DOF_PER_WINDOW, 1e-6) / chdtri(DOF_PER_WINDOW, 0.5)
+    return starts[left > np.median(left) * limit] if len(left) else starts
 
 
 def share_seen_by_scatter(rho: float) -> float:
@@ -120,9 +117,8 @@ def _windows(course: BallNoise) -> tuple[Ints, Floats, NDArray[np.bool_]]:
         rows = slice(first, min(first + stride, count))
         left[rows] = (rest[rows] * np.linalg.solve(_spread(course, rows, over), rest[rows, :, None])[..., 0]).sum(-1)
     steps = np.abs(np.diff(course.position, axis=0)).sum(axis=1)
-    whole = (course.frame[WINDOW_FRAMES - 1 :] - course.frame[:count] == WINDOW_FRAMES - 1) & (
-        slide(steps, WINDOW_FRAMES - 1).max(-1) > 0
-    )
+    whole = course.frame[WINDOW_FRAMES - 1 :] - course.frame[:count] == WINDOW_FRAMES - 1
+    whole &= slide(steps, WINDOW_FRAMES - 1).max(-1) > 0
     moved = np.hypot(*(course.position[WINDOW_FRAMES - 1 :] - course.position[:count]).T) > 3.0 * course.width
     return course.frame[:count][whole], left[whole], moved[whole]
 

@@ -69,13 +69,11 @@ def compute_innovations(errors: Floats, kept: Floats) -> Floats:
     return np.concatenate([rows[..., :1, :], new], axis=-2).reshape(errors.shape)
 
 
-def _split_stretches(breaks: NDArray[np.bool_], longest: int = 200) -> list[tuple[int, int]]:
-    """(first, beyond last) of the stretches of two or more rows between breaks, none longer than `longest`."""
+def _split_stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """(first, beyond last) of the stretches of two or more rows between breaks, none longer than 200."""
     edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(breaks) + 1]
-    out = []
-    for first, last in pairwise(edges):
-        out += [(k, min(k + longest, last)) for k in range(first, last, longest)]
-    return [(first, last) for first, last in out if last - first > 1]
+    parts = [(k, min(k + 200, last)) for first, last in pairwise(edges) for k in range(first, last, 200)]
+    return [(first, last) for first, last in parts if last - first > 1]
 
 
 def position_covariance(
@@ -94,7 +92,10 @@ def position_covariance(
             for axis in (0, 1):
                 whole[:, axis, :, axis] += near
         return whole.reshape(2 * n, 2 * n)
-    fixed = fixed * _limit_shared_share(cov, fixed)[:, None, None]
+    each_root = inverse_roots(cov)
+    most = np.linalg.eigvalsh(each_root @ fixed @ np.swapaxes(each_root, 1, 2))[:, -1]
+    # each frame keeps a thousandth of its variance for itself, so that the matrix stays regular
+    fixed = fixed * np.minimum(1.0, (1 - 1e-3) / np.maximum(most, 1e-300))[:, None, None]
     size, axes = np.linalg.eigh(fixed)
     root = axes * np.sqrt(np.maximum(size, 0.0))[:, None, :] @ np.swapaxes(axes, 1, 2)
     apart = (position[:, None] - position[None]) / width
@@ -108,13 +109,6 @@ def position_covariance(
     each = np.arange(n)
     shared.reshape(n, 2, n, 2)[each, :, each, :] += cov - fixed
     return np.asarray(shared, dtype=np.float64)
-
-
-def _limit_shared_share(cov: Floats, fixed: Floats, own_share: float = 1e-3) -> Floats:
-    """(n,) factors on the shared part that leave each frame at least `own_share`: the matrix stays regular."""
-    root = inverse_roots(cov)
-    most = np.linalg.eigvalsh(root @ fixed @ np.swapaxes(root, 1, 2))[:, -1]
-    return np.asarray(np.minimum(1.0, (1 - own_share) / np.maximum(most, 1e-300)), dtype=np.float64)
 
 
 def _lower_root(cov: Floats) -> Floats:
