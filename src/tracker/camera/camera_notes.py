@@ -32,8 +32,6 @@ def describe_frame_rate(camera: Camera, claimed: float) -> list[Note]:
     """
     if not camera.metric or not claimed > 0 or rates_agree(claimed, camera.fps):
         return []
-    text = (
-        f"fps: {camera.fps:g} in the camera file, {claimed:.5g} by the film's own times, a factor of "
-        f"{camera.fps / claimed:.4g}; the camera file's is used; --times file takes the film's"
-    )
-    return [Note(NoteKind.TIMING, text)]
+    both = f"{camera.fps:g} in the camera file, {claimed:.5g} by the film's own times"
+    used = "the camera file's is used; --times file takes the film's"
+    return [Note(NoteKind.TIMING, f"fps: {both}, a factor of {camera.fps / claimed:.4g}; {used}")]

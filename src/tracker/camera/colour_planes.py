@@ -31,11 +31,9 @@ def is_plane(name: str) -> bool:
     return name in PLANES or re.fullmatch(r"#[0-9a-fA-F]{6}", name) is not None
 
 
-def find_shares(picture: Colours, white: float, *, dark: float = 0.03) -> Shares:
-    """Compute the shares of red, green and blue in a film's colours, darkened a little towards 0 in dark pixels.
-
-    dark: of white, added to each colour; so small that shadows do not reach it.
-    """
+def find_shares(picture: Colours, white: float) -> Shares:
+    """Compute the shares of red, green and blue in a film's colours, darkened a little towards 0 in dark pixels."""
+    dark = 0.03  # of white, added to each colour; so small that shadows do not reach it
     light = np.ascontiguousarray(picture[..., :3], dtype=np.float32)
     return light / (_add_colours(light) + np.float32(3 * dark * white))[..., None]
 
@@ -45,22 +43,14 @@ def _add_colours(values: Shares) -> NDArray[np.float32]:
     return np.asarray(cv2.transform(values, np.ones((1, 3), np.float32)), np.float32).reshape(values.shape[:2])
 
 
-def read_plane(
-    name: str,
-    sample: Callable[[], Sequence[Colours]],
-    white: float,
-    *,
-    dark: float = 0.15,
-    least_spread: float = 0.008,
-    saturation_spreads: float = 4.0,
-) -> Callable[[Colours], Any]:
+def read_plane(name: str, sample: Callable[[], Sequence[Colours]], white: float) -> Callable[[Colours], Any]:
     """Return a function that makes one grey plane from red, green and blue, by the plane's name.
 
     sample: gives pictures spread over the film, for planes that depend on its colours; white: the largest count.
-    dark: of white, added to each colour of a difference; the encoder smears colours into dark pixels.
-    least_spread: of a share, the noise of an encoder.
-    saturation_spreads: distance from which a pixel has another colour, in standard deviations of the shares.
     """
+    dark = 0.15  # of white, added to each colour of a difference; the encoder smears colours into dark pixels
+    least_spread = 0.008  # of a share, the noise of an encoder
+    saturation_spreads = 4.0  # distance of another colour, in standard deviations of the shares
     if name in CHANNELS:
         layer = CHANNELS.index(name) - 1
         return lambda picture: np.ascontiguousarray(picture[..., layer])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from tracker.camera.frame_times import drop_repeated, find_changed_frames
+from tracker.camera.frame_times import drop_equal_pictures
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 from tracker.camera.recordings import check_two_frames
 
@@ -49,10 +49,7 @@ def wrap_frames(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
     check_two_frames(FILM, frames)
     if not isinstance(pictures, np.ndarray | list):
         return frames  # pictures that may be slow to read
-    middle = first.shape[0] // 2
-    return drop_repeated(
-        frames, find_changed_frames(len(frames), (lambda k: fetch(k)[middle].tobytes(), lambda k: fetch(k).tobytes()))
-    )
+    return drop_equal_pictures(frames, fetch)
 
 
 def _picture(pictures: Any, k: int) -> NDArray[Any]:

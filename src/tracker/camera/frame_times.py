@@ -18,24 +18,17 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class FilmClock:
-    """The time of each stored frame: its number and, where frames are uneven, its seconds.
+    """The time of each stored frame: its number and, where frames are uneven, its seconds."""
 
-    Attributes
-    ----------
-    numbers : ndarray of int, shape (n,)
-        Frame times after the first frame: consecutive where no frame is missing.
-    fps : float
-        Frames a second by this clock; 0 if unknown.
-    seconds : ndarray of shape (n,), optional
-        Time of each frame by this clock, s; None where frames are evenly spaced by their numbers.
-    notes : tuple of str
-        Missing frames and uneven times.
-    """
+    numbers: Ints  # (n,) frame times after the first frame: consecutive where no frame is missing
+    fps: float = 0.0  # frames a second by this clock; 0 if unknown
+    seconds: Array | None = None  # (n,) time of each frame, s; None where frames are evenly spaced by their numbers
+    notes: tuple[str, ...] = ()  # missing frames and uneven times
 
-    numbers: Ints
-    fps: float = 0.0
-    seconds: Array | None = None
-    notes: tuple[str, ...] = ()
+    def set(self, frames: Frames) -> None:
+        """Give the frames of a film their numbers and times, and the notes on them."""
+        frames.numbers, frames.seconds, frames.fps = self.numbers, self.seconds, self.fps
+        frames.faults += self.notes
 
 
 def read_clock(ticks: Sequence[float] | Array, tick: float, source: str) -> FilmClock | None:
@@ -90,11 +83,12 @@ def describe_missing(numbers: Ints, fps: float, source: str) -> tuple[str, ...]:
     return (f"{lost} {are} missing by {source}, after frame {places}{more}; frame numbers and times allow for that",)
 
 
-def find_changed_frames(count: int, pieces: Sequence[Callable[[int], Any]]) -> Array:
-    """Find which frames repeat: 1 where one differs from the frame before it, 0 where they are the same; (count - 1,).
+def drop_copies(frames: Frames, pieces: Sequence[Callable[[int], Any]]) -> Frames:
+    """Drop from a film without loss the frames that copy the previous one; the others keep their numbers.
 
     pieces: functions that give a part of a frame, the quickest first; the next is asked only if the last is the same.
     """
+    count = len(frames)
     changes, known = np.ones(max(count - 1, 0)), [(-1, None)] * len(pieces)
 
     def get(level: int, k: int) -> Any:
@@ -104,7 +98,13 @@ def find_changed_frames(count: int, pieces: Sequence[Callable[[int], Any]]) -> A
 
     for k in range(1, count):
         changes[k - 1] = 0.0 if all(get(n, k - 1) == get(n, k) for n in range(len(pieces))) else 1.0
-    return changes
+    return drop_repeated(frames, changes)
+
+
+def drop_equal_pictures(frames: Frames, fetch: Callable[[int], Any]) -> Frames:
+    """The same of frames that a function fetches, which are compared by their middle rows first."""
+    middle = frames.shape[1] // 2
+    return drop_copies(frames, (lambda k: fetch(k)[middle].tobytes(), lambda k: fetch(k).tobytes()))
 
 
 def find_repeated(changes: Array, tolerance: float = 0.0) -> Ints:

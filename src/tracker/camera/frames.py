@@ -91,11 +91,13 @@ class Frames(Sequence[Any]):
         rows, columns = np.flatnonzero(area.any(axis=1)), np.flatnonzero(area.any(axis=0))
         at = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
         shape = (int(np.ptp(rows)) + 1, int(np.ptp(columns)) + 1)
-        fetch: Callable[[int], Any] = lambda k: np.ascontiguousarray(self._fetch(k)[at])  # noqa: E731
-        out = self._share(Frames(len(self), shape, self.dtype, fetch))
-        colours = self.colours
+        return self.convert(lambda picture: np.ascontiguousarray(picture[at]), shape, self.dtype)
+
+    def convert(self, change: Callable[[Any], Any], shape: tuple[int, int], dtype: Any) -> Frames:
+        """As many frames, whose pictures and colours a function has changed."""
+        out, colours = self._share(Frames(len(self), shape, dtype, lambda k: change(self._fetch(k)))), self.colours
         if colours is not None:
-            out.colours = lambda k: np.ascontiguousarray(colours(k)[at])
+            out.colours = lambda k: change(colours(k))
         return out
 
     def take(self, rows: NDArray[np.int64]) -> Frames:
@@ -124,10 +126,8 @@ class Frames(Sequence[Any]):
         def stretch(picture: Any) -> Any:
             return cv2.resize(np.ascontiguousarray(picture), size, interpolation=cv2.INTER_CUBIC)
 
-        out = self._share(Frames(len(self), (height, size[0]), self.dtype, lambda k: stretch(self._fetch(k))))
-        out.faults, out.aspect, colours = self.faults, 1.0, self.colours
-        if colours is not None:
-            out.colours = lambda k: stretch(colours(k))
+        out = self.convert(stretch, (height, size[0]), self.dtype)
+        out.faults, out.aspect = self.faults, 1.0
         return out
 
     def select_channel(self, name: str) -> Frames:
@@ -185,10 +185,7 @@ def linearise_counts(frames: Frames, gamma: float) -> Frames:
     """Linearise frames whose counts are light to the power of 1/gamma: in proportion to light, in 16 bits."""
     top = 2.0 ** (8 * frames.dtype.itemsize) - 1
     table = np.rint((np.arange(top + 1) / top) ** gamma * (2**16 - 1)).astype(np.uint16)
-    out, colours = frames.with_fetch(lambda k: table[frames[k]], np.uint16), frames.colours
-    if colours is not None:
-        out.colours = lambda k: table[colours(k)]
-    return out
+    return frames.convert(lambda picture: table[picture], frames.shape[1:], np.uint16)
 
 
 def check_frame_size(path: Path | str, plane: tuple[int, ...]) -> None:

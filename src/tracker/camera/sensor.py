@@ -14,36 +14,19 @@ from tracker.camera.lens import Array
 class SensorSpec:
     """Noise of one pixel: shot noise, read-out noise, rounding, fixed patterns, and that of an encoder.
 
-    Attributes
-    ----------
-    bits : int
-        Of the converter.
-    gain : float
-        e-/count.
-    read_noise, dsnu, full_well : float
-        e-.
-    dark : float
-        e-/s.
-    prnu : float
-        Relative.
-    black_level : float
-        Counts.
-    codec_noise : float
-        Error of an encoder with loss, counts, in the blocks that contain something.
-    gamma : float
-        Counts of the file are light to the power of 1/gamma. The tracker makes them linear, in 16 bits; all other
-        fields are those of linear counts.
+    Counts of the file are light to the power of 1/gamma. The tracker makes them linear, in 16 bits; all other fields
+    are those of linear counts.
     """
 
-    bits: int = 8
-    gain: float = 20.0
-    read_noise: float = 20.0
-    dark: float = 0.0
-    prnu: float = 0.0
-    dsnu: float = 0.0
-    full_well: float = math.inf
-    black_level: float = 0.0
-    codec_noise: float = 0.0
+    bits: int = 8  # of the converter
+    gain: float = 20.0  # e-/count
+    read_noise: float = 20.0  # e-
+    dark: float = 0.0  # e-/s
+    prnu: float = 0.0  # relative
+    dsnu: float = 0.0  # e-
+    full_well: float = math.inf  # e-
+    black_level: float = 0.0  # counts
+    codec_noise: float = 0.0  # error of an encoder with loss, counts, in the blocks that contain something
     gamma: float = 1.0
 
     def variance(self, mean: Array) -> Array:

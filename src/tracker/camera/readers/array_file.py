@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from synthcam_shared.errors import InputError, first_line
-from tracker.camera.frame_times import drop_repeated, find_changed_frames
+from tracker.camera.frame_times import drop_equal_pictures
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 
 ARRAYS = (".npy",)
@@ -30,8 +30,4 @@ def read_array_file(path: Path) -> Frames:
     def fetch(k: int) -> Any:
         return np.ascontiguousarray(array[k], dtype=kind)
 
-    frames = make_grey_frames(path, len(array), array.shape[1:], kind, fetch)
-    middle = array.shape[1] // 2
-    return drop_repeated(
-        frames, find_changed_frames(len(array), (lambda k: fetch(k)[middle].tobytes(), lambda k: fetch(k).tobytes()))
-    )
+    return drop_equal_pictures(make_grey_frames(path, len(array), array.shape[1:], kind, fetch), fetch)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError, first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
-from tracker.camera.frame_times import FilmClock, describe_missing, drop_repeated, find_changed_frames, read_clock
+from tracker.camera.frame_times import FilmClock, describe_missing, drop_equal_pictures, read_clock
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 from tracker.camera.readers.film_axes import choose_axis_entries
 
@@ -30,33 +30,17 @@ UNITS |= {"hour": 3600.0, "day": 86400.0, "msec": 1e-3, "usec": 1e-6}
 
 @dataclass(frozen=True, eq=False)
 class LabelledArray:
-    """An array of a file: its name, the names of its axes, what gives its counts, and its coordinate of time.
-
-    Attributes
-    ----------
-    name : str
-    shape : tuple of int
-    dtype : dtype
-    axes : tuple of str or None
-        Names of the axes in the file; None for an axis without one.
-    chunks : tuple of int
-        Entries along each axis that are stored, and so read, together.
-    read : callable
-        Takes an index, as ``array[index]`` does.
-    coordinate : callable
-        Takes the name of an axis: its values (n,), and their unit, "" if it has none; or None.
-    step : float
-        Spacing of frames, s, where the file gives that alone; else 0.
-    """
+    """An array of a file: its name, the names of its axes, what gives its counts, and its coordinate of time."""
 
     name: str
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    axes: tuple[str | None, ...]
-    chunks: tuple[int, ...]
-    read: Callable[[Any], NDArray[Any]]
+    axes: tuple[str | None, ...]  # their names in the file; None for an axis without one
+    chunks: tuple[int, ...]  # entries along each axis that are stored, and so read, together
+    read: Callable[[Any], NDArray[Any]]  # takes an index, as ``array[index]`` does
     coordinate: Callable[[str], tuple[NDArray[Any], str] | None]
-    step: float = 0.0
+    """Takes the name of an axis: its values (n,), and their unit, "" if it has none; or None."""
+    step: float = 0.0  # spacing of frames, s, where the file gives that alone; else 0
 
 
 def is_zarr(path: Path) -> bool:
@@ -65,13 +49,9 @@ def is_zarr(path: Path) -> bool:
     return path.is_dir() and any((path / name).is_file() for name in names)
 
 
-def read_labelled_array(
-    path: Path, options: FilmOptions = DEFAULT_OPTIONS, *, max_block_bytes: int = 256 << 20
-) -> Frames:
-    """Read the frames of the largest array in a file with named axes. Raises InputError, also for a missing library.
-
-    max_block_bytes: of the chunks that are read at once and kept.
-    """
+def read_labelled_array(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
+    """Read the frames of the largest array in a file with named axes. Raises InputError, also for a missing library."""
+    max_block_bytes = 256 << 20  # of the chunks that are read at once and kept
     film, notes = _choose_film(path)
     letters = name_axes(film)
     picture = [letters.index("Y"), letters.index("X")]
@@ -110,11 +90,10 @@ def read_labelled_array(
         return np.ascontiguousarray(shot, dtype=dtype)
 
     frames = make_grey_frames(path, count, plane, dtype, fetch)
-    if time and options.times != "even" and (clock := _read_times(film, film.axes[at])) is not None:
-        frames.numbers, frames.seconds, frames.fps = clock.numbers, clock.seconds, clock.fps
-        notes += clock.notes
     frames.faults = tuple(notes)
-    return drop_repeated(frames, find_changed_frames(count, (lambda k: fetch(k).tobytes(),)))
+    if time and options.times != "even" and (clock := _read_times(film, film.axes[at])) is not None:
+        clock.set(frames)
+    return drop_equal_pictures(frames, fetch)
 
 
 def _choose_film(path: Path) -> tuple[LabelledArray, list[str]]:
@@ -268,11 +247,11 @@ def _name_hdf5_axis(node: Any, axis: int) -> str | None:
     return str(name) or None
 
 
-def _list_classic(path: Path, *, max_bytes: int = 1 << 30) -> Iterator[LabelledArray]:
+def _list_classic(path: Path) -> Iterator[LabelledArray]:
     """Arrays of a NetCDF file of version 3, which is read whole."""
     from scipy.io import netcdf_file
 
-    if path.stat().st_size > max_bytes:
+    if path.stat().st_size > 1 << 30:
         raise InputError(f"{path}: a NetCDF 3 file above 1 GiB; convert it: nccopy -k netCDF-4 {path.name} film.nc")
     with netcdf_file(path, "r", mmap=False) as file:
         variables = dict(file.variables)
@@ -284,18 +263,10 @@ def _list_classic(path: Path, *, max_bytes: int = 1 << 30) -> Iterator[LabelledA
         return values.astype(values.dtype.newbyteorder("=")), _to_text(getattr(variables[axis], "units", ""))
 
     for name, variable in variables.items():
-        data = variable.data
+        data, axes = variable.data, tuple(variable.dimensions)
         if data.dtype.kind in "iuf":
-            chunks = (1,) * data.ndim
-            yield LabelledArray(
-                name,
-                data.shape,
-                data.dtype.newbyteorder("="),
-                tuple(variable.dimensions),
-                chunks,
-                data.__getitem__,
-                find,
-            )
+            kind, chunks = data.dtype.newbyteorder("="), (1,) * data.ndim
+            yield LabelledArray(name, data.shape, kind, axes, chunks, data.__getitem__, find)
 
 
 def _to_text(value: Any) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError, first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
-from tracker.camera.frame_times import describe_missing, drop_repeated, find_changed_frames
+from tracker.camera.frame_times import describe_missing, drop_copies
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 from tracker.camera.readers.tiff_stack import choose_light_conversion
 
@@ -60,8 +60,7 @@ def read_picture_folder(folder: Path, options: FilmOptions = DEFAULT_OPTIONS) ->
             frames.numbers = numbers
             frames.faults += describe_missing(numbers, 0.0, "the numbers of the pictures")
         frames.faults += (note,) if note else ()
-    changes = find_changed_frames(len(paths), (lambda k: paths[k].stat().st_size, lambda k: paths[k].read_bytes()))
-    return drop_repeated(frames, changes)
+    return drop_copies(frames, (lambda k: paths[k].stat().st_size, lambda k: paths[k].read_bytes()))
 
 
 def find_picture_numbers(names: list[str]) -> tuple[NDArray[np.int64] | None, str]:

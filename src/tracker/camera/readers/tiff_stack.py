@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError, first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
-from tracker.camera.frame_times import FilmClock, drop_repeated, find_changed_frames, read_clock
+from tracker.camera.frame_times import FilmClock, drop_copies, read_clock
 from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 from tracker.camera.readers.film_axes import choose_axis_entries, choose_axis_entry
 
@@ -89,9 +89,8 @@ def read_tiff_stack(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frame
     frames = make_grey_frames(path, len(layout.pages), first.shape, first.dtype, fetch)
     frames.faults = (*layout.notes, *notes, *doubts)
     if clock is not None:
-        frames.numbers, frames.seconds, frames.fps = clock.numbers, clock.seconds, clock.fps
-        frames.faults += clock.notes
-    return drop_repeated(frames, find_changed_frames(len(frames), _list_pieces(path, layout)))
+        clock.set(frames)
+    return drop_copies(frames, _list_pieces(path, layout))
 
 
 def choose_light_conversion(page: Any) -> tuple[Callable[[Any], Any] | None, tuple[str, ...]]:
@@ -154,27 +153,18 @@ def _read_layout(path: Path, tif: tifffile.TiffFile, options: FilmOptions) -> _L
     count = lengths.get(time, 1)
     index = tuple(np.arange(count) if axis == time else np.full(count, chosen[axis]) for axis in letters)
     pages = np.ravel_multi_index(index, outer) if outer else np.zeros(1)
-    return _Layout(
-        plane=plane,
-        axes=axes,
-        pages=np.asarray(pages, dtype=np.int64),
-        total=math.prod(outer),
-        dtype=dtype,
-        offset=None if offset is None else int(offset),
-        notes=tuple(notes),
-        sample=sample,
-    )
+    pages, start = np.asarray(pages, dtype=np.int64), None if offset is None else int(offset)
+    return _Layout(plane, axes, pages, math.prod(outer), dtype, start, tuple(notes), sample)
 
 
-def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout, *, least_gap: int = 1000) -> tuple[str, ...]:
+def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout) -> tuple[str, ...]:
     """Raise InputError for a file whose tags contradict it: pixels where tags or other pixels lie, or too few frames.
 
     A damaged tag, such as an offset, else gives other pixels without an error. Notes say what is doubtful: pages with
     the pixels of others, and bytes for frames that no page refers to. If a stack has several files, only this one is
     checked.
     """
-    pages: Any = tif.pages if len(tif.series) > 1 else tif.series[0].pages
-    every, bilevel = [each for each in pages if each is not None and each.parent is tif], (2, 3, 4)
+    every, bilevel = [each for each in _list_pages(tif) if each is not None and each.parent is tif], (2, 3, 4)
     for each in every:
         if int(each.compression) in bilevel and int(each.bitspersample) != 1:
             raise InputError(f"{path}: damaged, pixels of {each.bitspersample} bits, compressed as black and white")
@@ -207,9 +197,13 @@ def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout, *, least_ga
         notes.append(f"{len(frames) - len(set(frames))} pages have the pixels of another page; is the file damaged?")
     ends, starts = (0, *(last for _, last, _ in spans)), (*(first for first, _, _ in spans), path.stat().st_size)
     gap = max(start - end for start, end in zip(starts, np.maximum.accumulate(ends).tolist(), strict=True))
-    if gap >= max(sum(last - first for first, last in data) / max(count, 1), least_gap):
+    if gap >= max(sum(last - first for first, last in data) / max(count, 1), 1000):
         notes.append(f"{gap} bytes in a row belong to no page: are frames lost?")
     return tuple(notes)
+
+
+def _list_pages(tif: tifffile.TiffFile) -> Any:
+    return tif.pages if len(tif.series) > 1 else tif.series[0].pages
 
 
 def _list_tags(tif: tifffile.TiffFile, offset: int) -> set[tuple[int, int]]:
@@ -253,7 +247,7 @@ def _read_by_offset(path: Path, layout: _Layout, dtype: np.dtype[Any]) -> Callab
 def _read_pages(path: Path, layout: _Layout) -> Callable[[int], Any]:
     """A reader of frames that are compressed or apart, one page of the file each; the file stays open between them."""
     file = tifffile.TiffFile(path)
-    pages: Any = file.pages if len(file.series) > 1 else file.series[0].pages
+    pages = _list_pages(file)
 
     def fetch(k: int) -> Any:
         try:
@@ -276,7 +270,7 @@ def _list_pieces(path: Path, layout: _Layout) -> tuple[Callable[[int], Any], ...
     file = path.open("rb", buffering=0)
     if layout.offset is None:
         tif = tifffile.TiffFile(path)
-        pages: Any = tif.pages if len(tif.series) > 1 else tif.series[0].pages
+        pages = _list_pages(tif)
 
         def list_counts(k: int) -> Any:
             page = pages[int(layout.pages[k])]

@@ -14,8 +14,8 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, field
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,18 +41,18 @@ class VideoContents:
 
     codec: str
     curve: int  # FFmpeg's number of the transfer curve
-    times: list[int | None]
-    keys: list[int]
-    damaged: list[int]
-    changes: list[float]
-    fields: FieldOrder
     tick: float
     fps: float
     promised: int  # frames that the file says it has; 0 where it does not say
     length: float  # s
     aspect: float
     streams: int
+    times: list[int | None]
+    damaged: list[int]
     coloured: bool = False
+    keys: list[int] = field(default_factory=list)
+    changes: list[float] = field(default_factory=list)
+    fields: FieldOrder = field(default_factory=FieldOrder)
 
     @property
     def has_times(self) -> bool:
@@ -68,10 +68,8 @@ def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS, contents: Vid
     """
     try:
         first_frame, found = _scan_video(path) if contents is None else (_read_first(path), contents)
-    except (av.error.FFmpegError, IndexError):  # no video in it
-        first_frame = found = None
-    if first_frame is None or found is None:
-        raise InputError(f"{path}: no frame can be decoded, expected a video that FFmpeg reads")
+    except (av.error.FFmpegError, StopIteration, IndexError):  # no video in it
+        raise InputError(f"{path}: no frame can be decoded, expected a video that FFmpeg reads") from None
     lossless = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
     lossy = found.codec not in lossless
     grey, deep = _choose_conversion(first_frame, lossy)
@@ -134,43 +132,36 @@ def _decode(container: Any, stream: Any, failed: Callable[[], None] = lambda: No
         yield from frames
 
 
-def _read_first(path: Path) -> VideoFrame | None:
-    """The first frame that can be decoded, if there is one."""
+def _read_first(path: Path) -> VideoFrame:
+    """The first frame that can be decoded. Raises StopIteration without one."""
     container, stream = _open_stream(path)
     with container:
-        return next(_decode(container, stream), None)
+        return next(_decode(container, stream))
 
 
-def _scan_video(path: Path) -> tuple[VideoFrame | None, VideoContents | None]:
+def _scan_video(path: Path) -> tuple[VideoFrame, VideoContents]:
     """Decodes all, for what containers claim of themselves are guesses: the first frame, and the contents."""
     container, stream = _open_stream(path)
     with container:
-        found: VideoContents | None = None
-        first: VideoFrame | None = None
-        damaged: list[int] = []
-        times: list[int | None] = []
-        keys: list[int] = []
+        times, damaged = list[int | None](), list[int]()
+        frames = _decode(container, stream, lambda: damaged.append(len(times)))
+        first = next(frames)
+        check_frame_size(path, (first.height, first.width))
+        found = VideoContents(
+            times=times,
+            damaged=damaged,
+            codec=stream.codec_context.name,
+            curve=int(getattr(first, "color_trc", 0) or 0),
+            tick=float(stream.time_base or 0),
+            fps=float(stream.average_rate or stream.guessed_rate or 0),
+            promised=int(stream.frames),
+            length=_measure_length(stream),
+            aspect=float(stream.sample_aspect_ratio or 1),
+            streams=sum(_judge_stream(other)[:2] == (True, True) for other in container.streams.video),
+        )
         before: NDArray[Any] | None = None
-        for frame in _decode(container, stream, lambda: damaged.append(len(times))):
-            if found is None or first is None:
-                check_frame_size(path, (frame.height, frame.width))
-                first = frame
-                found = VideoContents(
-                    codec=stream.codec_context.name,
-                    curve=int(getattr(frame, "color_trc", 0) or 0),
-                    times=times,
-                    keys=keys,
-                    damaged=damaged,
-                    changes=[],
-                    fields=FieldOrder(),
-                    tick=float(stream.time_base or 0),
-                    fps=float(stream.average_rate or stream.guessed_rate or 0),
-                    promised=int(stream.frames),
-                    length=_measure_length(stream),
-                    aspect=float(stream.sample_aspect_ratio or 1),
-                    streams=sum(_judge_stream(other)[:2] == (True, True) for other in container.streams.video),
-                )
-            elif (frame.width, frame.height) != (first.width, first.height):
+        for frame in chain([first], frames):
+            if (frame.width, frame.height) != (first.width, first.height):
                 has, wants = (f"{f.width}x{f.height}" for f in (frame, first))
                 raise InputError(f"{path}: frame {len(times)} is {has}, expected {wants} as frame 0")
             if frame.is_corrupt:
@@ -178,7 +169,7 @@ def _scan_video(path: Path) -> tuple[VideoFrame | None, VideoContents | None]:
             if not found.coloured and len(times) % 8 == 0:  # a ball in colour may come in late
                 found.coloured = _has_colour(frame)
             if frame.key_frame:
-                keys.append(len(times))
+                found.keys.append(len(times))
             times.append(frame.pts)
             after = _plane(frame, 0, 8 if frame.format.components[0].bits <= 8 else 16)
             found.fields.flagged |= frame.interlaced_frame
