@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -19,11 +19,12 @@ from tracker.calibration.survey import BallSighting, survey_sizes, without_scale
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.camera.film_options import FilmOptions
-from tracker.camera.recordings import RecordingSource, make_recording, open_source
+from tracker.camera.recordings import make_recording, open_source
 from tracker.detection.choose import DISCS, GLINTS, choose_detector, select_channel
 from tracker.results import write_json
 
 MAX_ROUGH_CLIPS = 12  # clips at most, from which scale, glint width and noise are first read
+Ways: TypeAlias = dict[str, tuple[float, float]]  # scale and its standard error, m/px, by each of these methods
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Calibration:
     camera: Camera
     scale_std: float  # m/px
     scale_from: str  # "contact", "outline", or "" without a scale
-    ways: dict[str, tuple[float, float]]  # scale and its standard error, m/px, by each of these methods
+    ways: Ways
     missing: tuple[str, ...]  # a line for each thing that the video does not show
     discs: bool = False  # whether balls are seen as discs, which show nothing of the sensor
 
@@ -120,11 +121,9 @@ def calibrate(
     last = len(source) - 1
     rough = sorted({round(i * last / (MAX_ROUGH_CLIPS - 1)) for i in range(MAX_ROUGH_CLIPS)})
     rest = sorted({*range(len(source))} - {*rough})
-    steps, total, ways = count(1), 2 * len(rough) + len(rest), dict[str, tuple[float, float]]()
+    steps, total, ways = count(1), 2 * len(rough) + len(rest), Ways()
 
-    def survey_all(
-        source: RecordingSource, picks: Sequence[int], known: dict[str, Any], detector: str
-    ) -> list[BallSighting]:
+    def survey_all(picks: Sequence[int], known: dict[str, Any], detector: str) -> list[BallSighting]:
         found = []
         look = functools.partial(survey_sizes, source, known, detector, bool(ways))
         for one in run_all_jobs(look, picks, workers, video):
@@ -138,16 +137,16 @@ def calibrate(
         source, first_by, then_by = replace(source, channel=coloured.channel), DISCS, DISCS
     guess = given["scale"]
     for detector in (first_by, then_by):  # the second time with the size of the balls known
-        seen = survey_all(source, rough, given, detector)
+        seen = survey_all(rough, given, detector)
         ways = _ways(seen, diameter)
         if ways:
             given["scale"] = min(ways.values(), key=lambda way: way[1])[0]
     if not ways and given["scale"] != guess:  # noise that passed for contacts gave a wrong size
-        seen = survey_all(source, rough, given | {"scale": guess}, then_by)
+        seen = survey_all(rough, given | {"scale": guess}, then_by)
         ways = _ways(seen, diameter)
         given["scale"] = min(ways.values(), key=lambda way: way[1])[0] if ways else guess
     if rest:
-        seen += survey_all(source, rest, given | (_sensor_keys(_middle(seen)) if then_by == GLINTS else {}), then_by)
+        seen += survey_all(rest, given | (_sensor_keys(_middle(seen)) if then_by == GLINTS else {}), then_by)
         ways = _ways(seen, diameter)
     result = _combine(seen, ways, video, exposure is not None, then_by)
     # the rate that the user says, not that of a film with every second frame
@@ -167,8 +166,8 @@ def _sensor_keys(camera: Camera) -> dict[str, Any]:
     return sensor if camera.psf_sigma is None else {"psf": whole["psf"], **sensor}
 
 
-def _ways(seen: Sequence[BallSighting], diameter: float) -> dict[str, tuple[float, float]]:
-    """Scale and standard error, m/px, by each way that some clip allows."""
+def _ways(seen: Sequence[BallSighting], diameter: float) -> Ways:
+    """Scale and standard error by each way that some clip allows."""
     out = {}
     contacts = [(t.distance, t.std) for s in seen for t in s.contact_distances]
     if contacts:
@@ -198,9 +197,7 @@ def average_contact_distances(values: list[tuple[float, float]]) -> tuple[float,
     return mean, math.sqrt(max(1.0, chi2) / float(np.sum(weight)))
 
 
-def _combine(
-    seen: Sequence[BallSighting], ways: dict[str, tuple[float, float]], video: Path, timed: bool, detector: str
-) -> Calibration:
+def _combine(seen: Sequence[BallSighting], ways: Ways, video: Path, timed: bool, detector: str) -> Calibration:
     found, discs = sum(s.balls for s in seen), detector == DISCS
     # fewer balls show nothing reliable
     if found < 10:
@@ -218,9 +215,7 @@ def _combine(
     return Calibration(replace(_middle(seen), scale=scale), std, best, ways, tuple(missing), discs)
 
 
-def _of_scale(
-    seen: Sequence[BallSighting], ways: dict[str, tuple[float, float]], best: str, discs: bool
-) -> Sequence[str]:
+def _of_scale(seen: Sequence[BallSighting], ways: Ways, best: str, discs: bool) -> Sequence[str]:
     """Lines about methods that give no scale, or disagree."""
     unseen = "no outline is bright enough to be seen"
     if discs:

@@ -44,14 +44,10 @@ class SplineField:
     intervals: tuple[int, int]
 
     @staticmethod
-    def over(
-        position: Floats, *, min_intervals: int = 3, max_intervals: int = 16, positions_per_cell: int = 40
-    ) -> SplineField:
-        """The fields over all positions (n, 2).
-
-        min_intervals: of the splines, along either side. max_intervals: along the longer side.
-        positions_per_cell: at least, in the mean over the cells of the splines.
-        """
+    def over(position: Floats) -> SplineField:
+        """The fields over all positions (n, 2)."""
+        min_intervals, max_intervals = 3, 16  # of the splines, along either side, and along the longer one
+        positions_per_cell = 40  # at least, in the mean over the cells of the splines
         low, high = position.min(axis=0), position.max(axis=0)
         sides = np.maximum(high - low, 1e-9)
         cells = len(position) / positions_per_cell
@@ -95,8 +91,9 @@ class _NormalEquations:
         self.matrix, self.vector, self.square, self.dof = np.zeros((size, size)), np.zeros(size), 0.0, 0
 
     def add(self, stretch: FreeStretch, field: SplineField, constraint: Floats) -> None:
-        """Add a stretch; its residuals are those of positions before the correction."""
-        columns, residual = _design(stretch, field, constraint)
+        """Add a stretch; its residuals are those of positions before the correction, in standard errors."""
+        basis, residual = field.basis(stretch.position) / stretch.std[:, None], stretch.residual
+        columns = stretch.project(np.concatenate([basis @ part for part in np.split(constraint, 2)]))
         self.matrix += columns.T @ columns
         self.vector -= columns.T @ residual
         self.square += float(residual @ residual)
@@ -110,25 +107,6 @@ class _NormalEquations:
             out.matrix, out.vector = out.matrix + one.matrix, out.vector + one.vector
             out.square, out.dof = out.square + one.square, out.dof + one.dof
         return out
-
-    def without(self, other: _NormalEquations) -> _NormalEquations:
-        """The sums over the stretches that are not in `other`."""
-        rest = _NormalEquations(len(self.vector))
-        rest.matrix, rest.vector = self.matrix - other.matrix, self.vector - other.vector
-        rest.square, rest.dof = self.square - other.square, self.dof - other.dof
-        return rest
-
-    def left(self, displacement: Floats) -> float:
-        """Sum of squared residuals after a correction with these coefficients."""
-        return float(self.square - 2 * self.vector @ displacement + displacement @ self.matrix @ displacement)
-
-
-def _design(stretch: FreeStretch, field: SplineField, constraint: Floats) -> tuple[Floats, Floats]:
-    """Columns of the displacements beside the stretch's motion, and its residuals, in standard errors."""
-    basis = field.basis(stretch.position) / stretch.std[:, None]
-    k = basis.shape[1]
-    columns = np.concatenate([basis @ constraint[:k], basis @ constraint[k:]])
-    return stretch.project(columns), stretch.residual
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,26 +165,22 @@ class CameraWarp:
 
     def summary(self) -> list[str]:
         """Lines for a terminal."""
-        scale = 1e3
-        return [
+        scale, warp = 1e3, self.camera.warp
+        lines = [
             f"{self.positions} positions in {self.stretches} free stretches of {self.recordings} recordings",
             f"rms of residuals on held-out stretches: {scale * self.rms_before:.4g} mm, with the warp "
             f"{scale * self.rms_after:.4g} mm (p {self.p_value:.2g})",
             f"displacements: {scale * self.size:.4g} mm rms, {100 * self.certain:.0f} % of their square is certain; "
             f"maps of two halves of the data correlate by {self.halves:.2f}",
-            *self._describe_error(scale),
         ]
-
-    def _describe_error(self, scale: float) -> list[str]:
-        warp = self.camera.warp
-        if warp is None:
-            return []
-        shared = float(np.sqrt(self.error**2 - warp.std**2))
-        return [
-            f"the map has an error of {scale * self.error:.3g} mm along either axis: {scale * shared:.3g} mm in "
-            f"{len(warp.errors)} maps that all recordings share, and {scale * warp.std:.3g} mm that lasts over "
-            f"{scale * warp.length:.3g} mm of a path"
-        ]
+        if warp is not None:
+            shared = float(np.sqrt(self.error**2 - warp.std**2))
+            lines.append(
+                f"the map has an error of {scale * self.error:.3g} mm along either axis: {scale * shared:.3g} mm in "
+                f"{len(warp.errors)} maps that all recordings share, and {scale * warp.std:.3g} mm that lasts over "
+                f"{scale * warp.length:.3g} mm of a path"
+            )
+        return lines
 
 
 def find_camera_warp(results: Sequence[Path], progress: Progress) -> CameraWarp:
@@ -230,16 +204,14 @@ def _read_stretches(results: Sequence[Path], progress: Progress) -> tuple[Camera
             first = camera
             if not camera.metric:
                 raise InputError(f"{folder}: no scale, expected results of a camera file")
-        if not _is_same_view(first, camera):
+        one, other = (
+            np.concatenate([c.K.ravel(), c.dist, c.R.ravel(), c.t, [c.scale], c.size]) for c in (first, camera)
+        )
+        if not np.array_equal(one, other):
             raise InputError(f"{folder}: clip {file.parent.name}: another camera, expected results of one camera")
         recordings.append(find_free_stretches(to_ball_tracks(tracks, camera), camera.ball_diameter))
     assert first is not None
     return replace(first, exposure_from_blur=None), recordings
-
-
-def _is_same_view(one: Camera, other: Camera) -> bool:
-    first, second = (np.concatenate([c.K.ravel(), c.dist, c.R.ravel(), c.t, [c.scale]]) for c in (one, other))
-    return bool(np.array_equal(first, second)) and one.size == other.size
 
 
 def fit_camera_warp(
@@ -247,17 +219,15 @@ def fit_camera_warp(
     recordings: Sequence[Sequence[FreeStretch]],
     progress: Progress = lambda done, total: None,
     *,
-    min_stretches: int = 20,
-    min_recordings: int = 8,
     max_p: float = 1e-3,
-    repetitions: int = 2,
 ) -> CameraWarp:
     """Fit a warp to free stretches by recording. Raises InputError where they are too few, or it does not help.
 
-    min_recordings: with fewer the stretches are left out in turn, and not the recordings.
     max_p: p-value of the gain on held-out stretches, above which the warp is refused.
-    repetitions: of the fit, each with the friction that the corrected stretches show.
     """
+    min_stretches = 20
+    min_recordings = 8  # with fewer the stretches are left out in turn, and not the recordings
+    repetitions = 2  # of the fit, each with the friction that the corrected stretches show
     groups = [one for one in _leave_out_bad(recordings) if one]
     count, stretches = len(groups), sum(len(one) for one in groups)
     if stretches < min_stretches:
@@ -414,10 +384,10 @@ class _WarpProblem:
         return np.stack(maps), float(np.sqrt(size[count:].sum()))
 
 
-def _leave_out_bad(recordings: Sequence[Sequence[FreeStretch]], most: float = 3.0) -> list[list[FreeStretch]]:
-    """Keep the stretches whose residuals are at most `most` times the usual ones; the others are not free motion."""
+def _leave_out_bad(recordings: Sequence[Sequence[FreeStretch]]) -> list[list[FreeStretch]]:
+    """Keep the stretches whose residuals are at most 3 times the usual ones; the others are not free motion."""
     sizes = [stretch.chi2 / stretch.dof for one in recordings for stretch in one]
-    limit = most**2 * float(np.median(sizes)) if sizes else 0.0
+    limit = 3.0**2 * float(np.median(sizes)) if sizes else 0.0
     return [[stretch for stretch in one if stretch.chi2 / stretch.dof <= limit] for one in recordings]
 
 

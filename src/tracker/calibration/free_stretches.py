@@ -6,7 +6,7 @@ direction. `FreeStretch` holds the residuals of this motion and what its own par
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -126,15 +126,11 @@ def find_free_stretches(balls: Sequence[BallTrack], diameter: float) -> list[Fre
         changes = CUTTER.measure_kinks(ball.time, ball.position, noise)
         contacts = np.append(CUTTER.find_touches(ball, balls, diameter), CUTTER.find_kinks(ball.time, changes))
         for rows in CUTTER.cut(ball.time, ball.frame, contacts, float(np.median(np.diff(ball.time)))):
-            for part in _split_long(ball.time, rows):
-                if CUTTER.moves(ball.time[part], ball.position[part], noise):
+            pieces = max(int(np.ceil((ball.time[rows[-1]] - ball.time[rows[0]]) / RULES.max_seconds)), 1)
+            for part in np.array_split(rows, pieces):
+                if len(part) >= RULES.min_positions and CUTTER.moves(ball.time[part], ball.position[part], noise):
                     out += _fit_parts(ball, part, changes, noise)
     return out
-
-
-def _split_long(time: Floats, rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    pieces = max(int(np.ceil((time[rows[-1]] - time[rows[0]]) / RULES.max_seconds)), 1)
-    yield from (part for part in np.array_split(rows, pieces) if len(part) >= RULES.min_positions)
 
 
 def _fit_parts(ball: BallTrack, rows: NDArray[np.int64], changes: Floats, noise: float) -> list[FreeStretch]:
