@@ -43,10 +43,13 @@ def check_arguments(function: Callable[Given, Returned]) -> Callable[Given, Retu
 
 
 def check_keywords(given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
-    """Raise InputError for a keyword that is none of the known ones, the keys of a TypedDict."""
-    for name in given:
+    """Raise InputError for a keyword that is none of the known ones, the annotations of a TypedDict, or of its type."""
+    for name, value in given.items():
         if name not in known:
             raise InputError(f"{name}: unknown, expected one of {', '.join(sorted(known))}")
+        expected = known[name].__forward_arg__
+        if not isinstance(value, _kinds(expected, check_keywords)):
+            raise InputError(f"{name}: of type {type(value).__name__}, expected {expected}")
 
 
 def name_arguments(text: str) -> str:

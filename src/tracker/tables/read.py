@@ -63,7 +63,7 @@ def read_tracks(path: Path, camera: CameraSource, options: TableOptions = DEFAUL
         raise content.wrong("an archive, expected a table of tracks in it; unpack it first")
     if options.columns:
         named = content.is_binary or content.has_header
-        rows = content.cells() if named else content.cells(names=_count_columns(content))
+        rows = content.cells(names=None if named else [f"{k}" for k in range(1, len(content.head[0]) + 1)])
         table = _pick_columns(rows, options.columns, content.where, content.notes)
     else:
         table = recognise_format(content)
@@ -117,10 +117,9 @@ def _pick_columns(rows: pd.DataFrame, columns: str, where: str, notes: Iterable[
     return TrackTable(rows, fps=fps, notes=tuple(notes)).number_names(Path(where).name)
 
 
-def read_frame(
-    tracks: pd.DataFrame, camera: CameraSource, options: TableOptions = DEFAULT_TABLE_OPTIONS, where: str = "tracks"
-) -> ClipTracks:
+def read_frame(tracks: pd.DataFrame, camera: CameraSource, options: TableOptions = DEFAULT_TABLE_OPTIONS) -> ClipTracks:
     """Read a table in memory as `read_tracks` does a file. Raises InputError."""
+    where = "tracks"
     levels = [name for name in tracks.index.names if name is not None and name not in tracks]
     rows = tracks.reset_index(levels) if levels else tracks.reset_index(drop=True)
     rows = rows.set_axis([str(name) for name in rows.columns], axis=1)
@@ -129,11 +128,6 @@ def read_frame(
         check_columns(rows, where, "; --columns x=NAME,y=NAME,... names others")
         raise AssertionError("a table with these columns is read by their names")
     return to_pixels(table.number_names(where), where, camera, options.unit)
-
-
-def _count_columns(content: FileContent) -> list[str]:
-    """Names of columns that have none: their numbers, from 1."""
-    return [f"{k}" for k in range(1, len(content.head[0]) + 1)]
 
 
 def _find_column(name: str, rows: pd.DataFrame) -> str:
@@ -227,13 +221,10 @@ def _names_striker(camera: CameraSource) -> bool:
     return isinstance(keys, Mapping) and "striker" in keys
 
 
-def _describe_overlaps(
-    tracks: Tracks, camera: Camera, where: str, *, min_share: float = 0.2, min_particles: int = 6, frames: int = 20
-) -> str:
-    """A sentence where many balls lie within one another, as they do in a wrong scale or unit; else empty.
-
-    min_share: of positions with another ball within 0.8 diameters; frames: so many are looked at.
-    """
+def _describe_overlaps(tracks: Tracks, camera: Camera, where: str) -> str:
+    """A sentence where many balls lie within one another, as they do in a wrong scale or unit; else empty."""
+    min_share = 0.2  # of positions with another ball within 0.8 diameters
+    min_particles, frames = 6, 20  # so many frames are looked at
     if not camera.metric or not camera.knows_diameter or len(np.unique(tracks.particle)) < min_particles:
         return ""
     numbers = np.unique(tracks.frame)

@@ -179,8 +179,9 @@ def _row_of(values: Any, at: int) -> str:
     return f"row {at}, "
 
 
-def to_whole_numbers(values: Any, name: str, where: str, *, max_number: int = (1 << 31) - 1) -> Any:
+def to_whole_numbers(values: Any, name: str, where: str) -> Any:
     """Convert a column of a table of tracks to whole numbers from 0 on."""
+    max_number = (1 << 31) - 1
     numbers = to_numbers(values, name, where)
     wrong = ~((numbers >= 0) & (numbers <= max_number) & (numbers == np.round(numbers)))  # NaN too
     if wrong.any():

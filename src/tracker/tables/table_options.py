@@ -45,9 +45,6 @@ class TableOptions:
     def of(given: TableKeywords) -> TableOptions:
         """Make the options of keywords. Raises InputError for an unknown one, and for a value of another type."""
         check_keywords(given, TableKeywords.__annotations__)
-        for name, value in given.items():
-            if not isinstance(value, str):
-                raise InputError(f"{name}: of type {type(value).__name__}, expected str")
         return TableOptions(**given)
 
     def __post_init__(self) -> None:

@@ -21,72 +21,29 @@ MAX_CLIPS = 20  # whose contacts are looked at
 
 
 @dataclass(frozen=True)
-class TouchingDistance:
-    """The distance of two balls that touch, in the unit of a table, and its relative error."""
-
-    distance: float
-    error: float
-
-
-@dataclass(frozen=True)
 class NearestDistance:
-    """How near two balls come, in the unit of a table, compared with a diameter.
+    """How near two balls come, in the unit of a table, compared with a diameter."""
 
-    Attributes
-    ----------
-    distance : float
-        At their contacts, or the least distance where no contact was found.
-    least : float
-        The least distance, as far as the frames resolve it.
-    is_contact : bool
-        Whether `distance` is that of contacts.
-    tolerance : tuple of float
-        The logarithm of `distance` over a diameter lies between these numbers in the right unit.
-    tolerance_px : tuple of float
-        The same for px, whose scale may be wrong.
-    max_deviation : float
-        By which this logarithm deviates at most from 0 in a unit that is likely.
-    """
-
-    distance: float
-    least: float
-    is_contact: bool
-    tolerance: tuple[float, float]
-    tolerance_px: tuple[float, float]
-    max_deviation: float
-
-    @property
-    def verb(self) -> str:
-        return "touch at" if self.is_contact else "come as near as"
+    distance: float  # at their contacts, or the least distance where no contact was found
+    least: float  # the least distance, as far as the frames resolve it
+    is_contact: bool  # `distance` is that of contacts
+    tolerance: tuple[float, float]  # between which the logarithm of `distance` over a diameter lies in the right unit
+    tolerance_px: tuple[float, float]  # the same for px, whose scale may be wrong
+    max_deviation: float  # by which this logarithm deviates from 0 in a unit that is likely
 
 
 @dataclass(frozen=True)
 class UnitEvidence:
-    """Lengths in a table without a unit, and what they say for px and for the likeliest other unit.
-
-    Attributes
-    ----------
-    nearest : NearestDistance
-    spread : float
-        The largest extent of a clip, in the unit of the table.
-    is_beyond_picture : bool
-        Whether most positions lie beyond twice the picture, if they are px.
-    unit : str
-        The unit other than px in which the nearest distance is most like a diameter.
-    fits, fits_px : bool
-        Whether a diameter explains the nearest distance, in `unit` and in px.
-    is_likely, is_likelier_than_px : bool
-        Whether `unit` explains it roughly, and well while px does not.
-    """
+    """Lengths in a table without a unit, and what they say for px and for the likeliest other unit."""
 
     nearest: NearestDistance
-    spread: float
-    is_beyond_picture: bool
-    unit: str
-    fits: bool
-    fits_px: bool
-    is_likely: bool
-    is_likelier_than_px: bool
+    spread: float  # the largest extent of a clip, in the unit of the table
+    is_beyond_picture: bool  # most positions lie beyond twice the picture, if they are px
+    unit: str  # the unit other than px in which the nearest distance is most like a diameter
+    fits: bool  # a diameter explains the nearest distance in `unit`
+    fits_px: bool  # the same in px
+    is_likely: bool  # `unit` explains it roughly
+    is_likelier_than_px: bool  # `unit` explains it well while px does not
 
 
 def check_unit(clips: Sequence[Tracks], camera: Camera, where: str) -> list[str]:
@@ -132,12 +89,15 @@ def _measure_nearest(pairs: Sequence[tuple[Tracks, CommonFrames]], camera: Camer
     """Measure how near two balls come: at their contacts, or else at their closest approach."""
     approaches = sorted(_closest_approach(*pair) for _, pair in pairs)
     least, step = approaches[(len(pairs) - 1) // 4]
-    contact = _measure_contact(pairs[:: -(-len(pairs) // MAX_CLIPS)])
-    if contact:
+    if touches := [touch for clip in pairs[:: -(-len(pairs) // MAX_CLIPS)] for touch in _touch(*clip)]:
+        distances, errors = np.array(touches).T
+        median = float(np.median(distances))
+        scatter = 1.4826 * float(np.median(np.abs(distances - median)))
+        error = math.hypot(float(np.median(errors)), scatter / median) / math.sqrt(len(touches))
         # lasting contacts bring centres of rubber a few per cent nearer; a scale has errors that no file states
-        off = 0.04 + 3 * math.hypot(contact.error, camera.ball_diameter_std / camera.ball_diameter)
+        off = 0.04 + 3 * math.hypot(error, camera.ball_diameter_std / camera.ball_diameter)
         wide = max(off, 0.1)
-        return NearestDistance(contact.distance, least, True, (-off, off), (-wide, wide), off)
+        return NearestDistance(median, least, True, (-off, off), (-wide, wide), off)
     # the least distance is a diameter, as far as the frames resolve it
     unresolved = min(math.log(least / (least - step)), 0.7) if step < least else 0.7
     bounds = (-0.1, max(0.1, unresolved))
@@ -150,7 +110,8 @@ def _judge_unit(evidence: UnitEvidence, camera: Camera, where: str) -> list[str]
     touching = camera.diameter_px
     # no two balls come nearer than this, whatever the errors of a scale
     too_near = nearest.distance < 0.6 * touching
-    message = f"the balls {nearest.verb} {nearest.distance:.3g}; expected px, and {touching:.3g} of them, a diameter"
+    verb = "touch at" if nearest.is_contact else "come as near as"
+    message = f"the balls {verb} {nearest.distance:.3g}; expected px, and {touching:.3g} of them, a diameter"
     refusal = f"{where}: x, y: positions look like {unit}: {message}; `tracker measure --unit {unit}` reads them"
     if evidence.is_likely and (too_near or evidence.is_beyond_picture):
         raise InputError(refusal)
@@ -197,20 +158,8 @@ def _note_unit(evidence: UnitEvidence, camera: Camera, message: str, too_near: b
     return []
 
 
-def _measure_contact(pairs: Sequence[tuple[Tracks, CommonFrames]]) -> TouchingDistance | None:
-    """Measure the distance of two balls at their contacts, where their velocities change; None without one."""
-    found = [touch for tracks, pair in pairs for touch in _touch(tracks, pair)]
-    if not found:
-        return None
-    distances = np.array([touch.distance for touch in found])
-    median = float(np.median(distances))
-    scatter = 1.4826 * float(np.median(np.abs(distances - median)))
-    errors = float(np.median([touch.error for touch in found]))
-    return TouchingDistance(median, math.hypot(errors, scatter / median) / math.sqrt(len(found)))
-
-
-def _touch(tracks: Tracks, pair: CommonFrames) -> list[TouchingDistance]:
-    """Find the contacts of two balls, with errors from the scatter of their positions."""
+def _touch(tracks: Tracks, pair: CommonFrames) -> list[tuple[float, float]]:
+    """Find the contacts of two balls: their distances, with relative errors from the scatter of their positions."""
     step_px = 2.0  # lengths are scaled so that the faster ball moves as far in a frame, as `contact_distances` expects
     least_std = 0.02  # of a position, for tables without noise
     particles, one, two, frame = pair
@@ -227,7 +176,7 @@ def _touch(tracks: Tracks, pair: CommonFrames) -> list[TouchingDistance]:
     # two balls whose numbers are exchanged seem to pass through each other
     least = 0.4 * factor * float(np.hypot(*(one - two).T).min())
     found = [contact for contact in contact_distances(scaled) if contact.distance > least]
-    return [TouchingDistance(contact.distance / factor, contact.std / contact.distance) for contact in found]
+    return [(contact.distance / factor, contact.std / contact.distance) for contact in found]
 
 
 def _closest_approach(particles: Any, one: Any, two: Any, frame: Any) -> tuple[float, float]:

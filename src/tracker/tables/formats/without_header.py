@@ -55,11 +55,9 @@ def _counts(values: pd.Series) -> bool:
     return bool(np.isfinite(numbers).all() and (numbers == np.round(numbers)).all() and (numbers >= 0).all())
 
 
-def _is_frame_and_particle(frame: pd.Series, particle: pd.Series, *, max_particles: int = 1000) -> bool:
-    """Frames come in a row, particles are few and each is in many frames, and no pair comes twice.
-
-    max_particles: a column with more different numbers does not count particles.
-    """
+def _is_frame_and_particle(frame: pd.Series, particle: pd.Series) -> bool:
+    """Frames come in a row, particles are few and each is in many frames, and no pair comes twice."""
+    max_particles = 1000  # a column with more different numbers does not count particles
     frames, particles = np.unique(frame), np.unique(particle)
     few = len(particles) <= min(max_particles, len(frame) // 2) and len(particles) < len(frames)
     dense = len(frames) >= 0.5 * (frames[-1] - frames[0] + 1)
