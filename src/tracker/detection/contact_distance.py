@@ -35,7 +35,9 @@ def contact_distances(tracks: Tracks) -> list[ContactDistance]:
     balls = [np.flatnonzero(tracks.particle == ball) for ball in np.unique(tracks.particle)]
     long = [rows for rows in balls if len(rows) >= MIN_COMMON_FRAMES]  # noise in dark films has hundreds of short ones
     for one, two in combinations(long, 2):
-        frame, gap, cov, fixed = _relative(tracks, lasting, one, two)
+        frame, i, j = np.intersect1d(tracks.frame[one], tracks.frame[two], assume_unique=True, return_indices=True)
+        gap = tracks.xy[two[j]] - tracks.xy[one[i]]
+        cov, fixed = (c[two[j]] + c[one[i]] for c in (tracks.cov - lasting, lasting))
         contacts = (_touch(frame, gap, cov, fixed, k) for k in _nearest(np.hypot(*gap.T)))
         out += [contact for contact in contacts if contact is not None]
     return out
@@ -51,21 +53,11 @@ def _nearest(distance: Array) -> NDArray[np.int64]:
     return np.flatnonzero(np.argmin(around, axis=1) == FRAMES_BEFORE)
 
 
-def _relative(
-    tracks: Tracks, lasting: Array, a: NDArray[np.int64], b: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """Frames in which two balls are seen, vectors (n, 2) px from one to the other, and two covariances of these.
-
-    The first is that of errors from frame to frame, the second that of a shift that lasts. a, b: rows of the balls;
-    lasting: covariances (n, 2, 2) of the shifts of all rows.
-    """
-    frame, i, j = np.intersect1d(tracks.frame[a], tracks.frame[b], assume_unique=True, return_indices=True)
-    cov, fixed = (c[b[j]] + c[a[i]] for c in (tracks.cov - lasting, lasting))
-    return frame, tracks.xy[b[j]] - tracks.xy[a[i]], cov, fixed
-
-
 def _touch(frame: NDArray[np.int64], gap: Array, cov: Array, fixed: Array, k: int) -> ContactDistance | None:
-    """Parabolas before and after row k of least distance, and the distance where they meet."""
+    """Parabolas before and after row k of least distance, and the distance where they meet.
+
+    gap: (n, 2) px from one ball to the other; cov, fixed: its covariances from frame to frame, and of a lasting shift.
+    """
     best = None
     # frames after the contact: a parabola holds while both balls slide, and slow balls soon roll
     for span in (7, 6, 5, 4):

@@ -63,32 +63,17 @@ class Glints(RowArrays):
     """Detections of balls in one or more frames.
 
     The positions are those of glints, or of the centres of outlines where the detector's ``point`` is "centre".
-
-    Attributes
-    ----------
-    frame : ndarray of int, shape (n,)
-    x, y : ndarray of shape (n,)
-        Position, px; pixel centres are at whole numbers.
-    cov : ndarray of shape (n, 2, 2)
-        Covariance of the position, px^2.
-    flux : ndarray of shape (n,)
-        Counts above the background; of an outline its area, px^2.
-    background : ndarray of shape (n,)
-        Counts per pixel.
-    flags : ndarray of int, shape (n,)
-        Sums of `PositionFlag`.
-    fixed : ndarray of shape (n, 2, 2)
-        The part of ``cov`` that is the same in every frame of a ball at rest, px^2. Zero where it is not known.
     """
 
-    frame: NDArray[np.int64]
-    x: Array
+    frame: NDArray[np.int64]  # (n,)
+    x: Array  # (n,): position, px; pixel centres are at whole numbers
     y: Array
-    cov: Array
-    flux: Array
-    background: Array
-    flags: NDArray[np.int64]
+    cov: Array  # (n, 2, 2): covariance of the position, px^2
+    flux: Array  # (n,): counts above the background; of an outline its area, px^2
+    background: Array  # (n,): counts per pixel
+    flags: NDArray[np.int64]  # (n,): sums of `PositionFlag`
     fixed: Array = field(default_factory=lambda: np.empty(0))
+    """The part of ``cov`` that is the same in every frame of a ball at rest, px^2. Zero where it is not known."""
 
     def __post_init__(self) -> None:
         if len(self.fixed) == 0:
@@ -107,31 +92,19 @@ class Glints(RowArrays):
     @staticmethod
     def none() -> Glints:
         """No detections."""
-        return Glints(
-            np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty((0, 2, 2)), np.empty(0), np.empty(0),
-            np.empty(0, np.int64),
-        )  # fmt: skip
+        return Glints.at([], [], 1.0)
 
     @staticmethod
     def at(x: Any, y: Any, std: Any, flux: Any = 1.0, full: Any = False) -> Glints:
-        """Detections of one frame from positions.
+        """Detections of one frame from positions (n,), px; the other arguments are one for all or (n,).
 
-        Parameters
-        ----------
-        x, y : array_like of shape (n,)
-            px.
-        std : array_like
-            Standard error of x and of y, px; one for all or (n,).
-        flux : array_like
-            Counts; one for all or (n,).
-        full : array_like of bool
-            Whether a pixel is at the sensor's limit.
+        std: standard errors of x and of y, px, or covariances (n, 2, 2). full: whether a pixel is at the limit.
         """
         n = np.size(x)
-        columns = [np.array(np.broadcast_to(np.asarray(v, np.float64), (n,))) for v in (x, y, std, flux)]
-        cov = np.square(columns[2])[:, None, None] * np.eye(2)
+        x, y, flux = (np.array(np.broadcast_to(np.asarray(v, np.float64), (n,))) for v in (x, y, flux))
+        cov = std if np.ndim(std) == 3 else np.square(np.broadcast_to(std, (n,)))[:, None, None] * np.eye(2)
         flags = np.array(np.broadcast_to(np.where(full, PositionFlag.CLIPPED, 0), (n,)), np.int64)
-        return Glints(np.zeros(n, np.int64), columns[0], columns[1], cov, columns[3], np.zeros(n), flags)
+        return Glints(np.zeros(n, np.int64), x, y, cov, flux, np.zeros(n), flags)
 
 
 def describe_flags(flags: NDArray[np.int64]) -> NDArray[np.str_]:

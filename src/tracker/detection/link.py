@@ -24,38 +24,21 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Tracks(RowArrays):
-    """Balls tracked through one clip: arrays sorted by particle, then frame.
+    """Balls tracked through one clip: arrays sorted by particle, then frame."""
 
-    Attributes
-    ----------
-    frame, particle : ndarray of int, shape (n,)
-    x, y : ndarray of shape (n,)
-        Centre of the ball, mean over the exposure, px; the glint where ``flags`` holds 'glint'.
-    cov : ndarray of shape (n, 2, 2)
-        Covariance of the position, px^2.
-    flux : ndarray of shape (n,)
-        Counts.
-    flags : ndarray of str, shape (n,)
-        Words joined by '|'.
-    glint_x, glint_y : ndarray of shape (n,)
-        px.
-    fixed : ndarray of shape (n, 2, 2)
-        The part of ``cov`` that is the same in every frame of a ball at rest, px^2.
-    time : ndarray of shape (n,)
-        Start of the exposures, s; NaN where it follows from the frame rate.
-    """
-
-    frame: Ints
+    frame: Ints  # (n,), as all that has no other shape
     particle: Ints
-    x: Array
+    x: Array  # centre of the ball, mean over the exposure, px; the glint where `flags` holds 'glint'
     y: Array
-    cov: Array
-    flux: Array
-    flags: NDArray[np.str_]
-    glint_x: Array
+    cov: Array  # (n, 2, 2): covariance of the position, px^2
+    flux: Array  # counts
+    flags: NDArray[np.str_]  # words joined by '|'
+    glint_x: Array  # px
     glint_y: Array
     fixed: Array = field(default_factory=lambda: np.empty(0))
+    """(n, 2, 2): the part of ``cov`` that is the same in every frame of a ball at rest, px^2."""
     time: Array = field(default_factory=lambda: np.empty(0))
+    """Start of the exposures, s; NaN where it follows from the frame rate."""
 
     def __post_init__(self) -> None:
         if len(self.fixed) == 0:

@@ -24,19 +24,11 @@ class MotionBlurEvidence:
         self.information.append(information[kept])
 
     def estimate_length(self) -> tuple[float, float, float]:
-        """Estimate how much longer the blur is than it was assumed to be.
+        """Estimate the blur's length over the assumed one, its standard error, and how significantly it differs from 1.
 
         The estimate is one Newton step in the square of the length, to which a glint's second moment is proportional.
-
-        Returns
-        -------
-        factor : float
-            Length over the assumed one; 1 where nothing is known.
-        error : float
-            Its standard error, from the pixels' noise or from the glints' own scatter (sandwich estimator), whichever
-            is larger.
-        significance : float
-            Of the difference from 1, in standard deviations, by Rao's score test.
+        The error is that of the pixels' noise or of the glints' own scatter (sandwich estimator), whichever is larger.
+        The significance, in standard deviations, is that of Rao's score test.
         """
         score, information = (np.concatenate([np.empty(0), *part]) for part in (self.score, self.information))
         if len(score) == 0:

@@ -29,7 +29,7 @@ def is_outside_detector(name: str) -> bool:
 
 def short_name(name: str) -> str:
     """Name a user's own detector for files and pages: by its class or function, else by its file."""
-    where, _, attribute = name.rpartition(":") if not name.endswith(".py") else (name, "", "")
+    where, attribute = _split(name)
     return attribute or Path(where).stem
 
 
@@ -46,10 +46,10 @@ def load_outside(name: str) -> DetectorClass:
     if where.endswith(".py"):
         if not file.is_file():
             raise InputError(f"--detector {name}: no such file; expected FILE.py, FILE.py:NAME or MODULE:NAME")
-        found = _find(_execute(str(file.resolve()), file.stat().st_mtime_ns), attribute, name)
+        module = _execute(str(file.resolve()), file.stat().st_mtime_ns)
     else:
-        found = _find(_import(where, name), attribute, name)
-    return as_detector(found)
+        module = _import(where, name)
+    return as_detector(_find(module, attribute, name))
 
 
 def as_detector(given: Any, point: str = "") -> DetectorClass:
@@ -103,9 +103,7 @@ def _ask(function: Callable[[NDArray[Any]], Any], what: str) -> DetectorClass:
 
 
 def _split(name: str) -> tuple[str, str]:
-    if name.endswith(".py"):
-        return name, ""
-    where, _, attribute = name.rpartition(":")
+    where, _, attribute = (name, "", "") if name.endswith(".py") else name.rpartition(":")
     return where, attribute
 
 

@@ -69,7 +69,7 @@ def estimate_still_background(frames: Sequence[Any], noise: float, box: tuple[in
         rows, columns = part = _find_box(rested)
         where = np.nonzero(rested[part])
         samples = np.stack([_blur_rows(picture, rows, box)[:, columns][where] for picture in pictures]).astype(float)
-        _fill_rested(samples, rested[part], noise, level[part], error[part], known[part])
+        _fill_rested(samples, rested[part], noise, StillBackground(level[part], error[part], known[part]))
     return StillBackground(level, error, known)
 
 
@@ -81,15 +81,9 @@ def _blur_rows(picture: NDArray[Any], at: slice, box: tuple[int, int]) -> NDArra
     return np.asarray(cv2.blur(picture[at.start - above : at.stop + box[1] // 2], box))[above:][: at.stop - at.start]
 
 
-def _fill_rested(
-    samples: Array,
-    rested: NDArray[np.uint8],
-    noise: float,
-    level: NDArray[np.float32],
-    error: NDArray[np.float32],
-    known: NDArray[np.bool_],
-) -> None:
-    """Set level, error and `known` where a ball rested, from the samples (k, n) of these n pixels."""
+def _fill_rested(samples: Array, rested: NDArray[np.uint8], noise: float, ground: StillBackground) -> None:
+    """Set the background where a ball rested, from the samples (k, n) of these n pixels."""
+    level, error, known = ground.level, ground.error, ground.known
     step = max(6.0 * noise, 3.0)
     where = np.nonzero(rested)
     smooth = _average_surroundings(level, rested)

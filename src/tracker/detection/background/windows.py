@@ -42,14 +42,8 @@ def find_regions(
 ) -> list[PixelRegion]:
     """Find the connected regions of more than `least` pixels, the largest first.
 
-    Parameters
-    ----------
-    rough : (h, w) array of bool
-        A quick mask that holds all of their pixels, and few others.
-    least : float
-        px^2.
-    examine : callable, optional
-        Takes the index of a window, and returns its exact mask; default: `rough` is exact.
+    rough: a quick mask (h, w) that holds all of their pixels, and few others. examine: takes the index of a window, and
+    returns its exact mask; default: `rough` is exact.
     """
     found = []
     for at, own in _find_windows(rough, least):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.detection.detector import View
-from tracker.detection.glints import Glints, PositionFlag
+from tracker.detection.glints import Glints
 
 
 class OpencvComponents:
@@ -35,8 +35,7 @@ class OpencvComponents:
         left, top, x, y, xx, yy, mass, full = np.array(rows, dtype=np.float64).T
         cov = np.zeros((len(rows), 2, 2))
         cov[:, 0, 0], cov[:, 1, 1] = xx, yy
-        flags = np.where(full > 0, PositionFlag.CLIPPED, 0)
-        return Glints(np.zeros(len(rows), np.int64), left + x, top + y, cov, mass, np.zeros(len(rows)), flags)
+        return Glints.at(left + x, top + y, cov, mass, full > 0)
 
     def _centre(self, risen: NDArray[Any], own: NDArray[np.bool_], counts: NDArray[Any]) -> tuple[float, ...]:
         """Position from the box's corner, its variances, flux, and whether a pixel is clipped."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skimage.feature import blob_log
 
 from tracker.detection.detector import View
-from tracker.detection.glints import Glints, PositionFlag
+from tracker.detection.glints import Glints
 
 
 class SkimageBlobLog:
@@ -33,12 +33,10 @@ class SkimageBlobLog:
         row, column = found[:, 0].astype(np.int64), found[:, 1].astype(np.int64)
         kept = self._one_a_ball(column, row, risen[row, column])
         row, column = row[kept], column[kept]
-        n = len(row)
         full = frame[row, column] >= self.view.camera.sensor.ceiling
         flux = risen[row, column] * 2.0 * np.pi * self.view.sigma**2
-        cov = np.broadcast_to(np.eye(2) / 12.0, (n, 2, 2)).copy()  # px^2, of rounding to whole pixels
-        x, y = column.astype(np.float64), row.astype(np.float64)
-        return Glints(np.zeros(n, np.int64), x, y, cov, flux, np.zeros(n), np.where(full, PositionFlag.CLIPPED, 0))
+        cov = np.tile(np.eye(2) / 12.0, (len(row), 1, 1))  # px^2, of rounding to whole pixels
+        return Glints.at(column, row, cov, flux, full)
 
     def _one_a_ball(self, x: NDArray[np.int64], y: NDArray[np.int64], height: NDArray[np.float64]) -> list[int]:
         """The blobs, strongest first, that are further than .8 of a ball from every stronger one."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skimage.measure import label, regionprops_table
 
 from tracker.detection.detector import View
-from tracker.detection.glints import Glints, PositionFlag
+from tracker.detection.glints import Glints
 
 
 class SkimageRegionprops:
@@ -44,6 +44,4 @@ class SkimageRegionprops:
                 summed = (part[..., 2] ** 2).sum(axis=axis)
                 cov[k, axis, axis] = summed @ away**2 / flux[k] ** 2 + 1e-6
         full = found["intensity_max-1"][rows] >= self.view.camera.sensor.ceiling
-        return Glints(
-            np.zeros(len(rows), np.int64), x, y, cov, flux, np.zeros(len(rows)), np.where(full, PositionFlag.CLIPPED, 0)
-        )
+        return Glints.at(x, y, cov, flux, full)

@@ -16,13 +16,7 @@ import numpy as np
 from tracker.camera.lens import Array
 
 
-def apply_flux_prior(
-    xy: Array,
-    cov: Array,
-    log_flux: Array,
-    cross: Array,
-    own: Array,
-) -> tuple[Array, Array]:
+def apply_flux_prior(xy: Array, cov: Array, log_flux: Array, cross: Array, own: Array) -> tuple[Array, Array]:
     """Apply the prior on brightness from the flux that the other glints of the film predict.
 
     Takes positions (n, 2), px, their covariances (n, 2, 2), px^2, and log fluxes (n,). `cross` (n, 2) is the covariance

@@ -39,14 +39,8 @@ def _legendre(count: int) -> tuple[Array, Array]:
 def compute_glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> GlintShape:
     """Compute the pixel model of glints of unit flux: Gaussians integrated over the pixels of square windows.
 
-    Parameters
-    ----------
-    xy, blurs : (n, 2) array
-        Middles of the glints, px from the windows' central pixel, and their displacements during the exposure, px.
-    sigma : float
-        Width of a glint at rest, px.
-    half : int
-        Windows are 2 half + 1 pixels wide.
+    xy, blurs: (n, 2), middles of the glints, px from the windows' central pixel, and their displacements during the
+    exposure, px. sigma: width of a glint at rest, px. Windows are 2 half + 1 pixels wide.
     """
     # Gauss-Legendre nodes (n, k, 2), px, along the lines of motion, and their weights (k,)
     longest = float(np.max(np.hypot(blurs[:, 0], blurs[:, 1]), initial=0.0))
@@ -117,25 +111,10 @@ def localisation_bound(
     blur: ArrayLike | None = None,
     background: ArrayLike | None = None,
 ) -> Array:
-    """Cramer-Rao bound of the positions of glints, with free flux and flat background, and known width and noise.
+    """Cramer-Rao bound (n, 2, 2), px^2, of the positions of glints, with free flux and flat background.
 
-    Parameters
-    ----------
-    camera : Camera
-        Raises ValueError if it has no width of the PSF.
-    flux : array_like of shape (n,)
-        Counts.
-    xy : array_like of shape (n, 2)
-        Positions, px.
-    blur : array_like of shape (n, 2), optional
-        Displacement during the exposure, px; default: none.
-    background : array_like of shape (n,) or float, optional
-        Counts; default: the black level.
-
-    Returns
-    -------
-    ndarray of shape (n, 2, 2)
-        px^2. Source: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), section 3.9.
+    flux: (n,) counts. xy, blur: positions and displacements during the exposure, (n, 2) px. background: counts;
+    default: the black level. Raises ValueError for a camera without a width of the PSF.
     """
     return _bound(camera, flux, xy, blur, background)[0]
 

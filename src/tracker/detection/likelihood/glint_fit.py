@@ -28,7 +28,8 @@ from tracker.detection.likelihood.cramer_rao import (
     pixel_noise,
 )
 
-MAX_COUNTS = 1e6  # the same of the background's parameters
+Mask = NDArray[np.bool_]
+MAX_COUNTS = 1e6  # of a background's parameters, where a fit runs away
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,15 +71,12 @@ def fit_glints(
     sensor: SensorSpec,
     profile: BallProfile | None = None,
     tolerance: float = 0.003,
-    *,
-    max_steps: int = 30,
 ) -> GlintFit:
     """Fit a glint of width `sigma`, px, to each window, on a ball profile of known shape or on a bowl of its own.
 
     A step below `tolerance`, px and log flux, is the last one: the next would be a hundredth of it.
-
-    max_steps: of Fisher scoring.
     """
+    max_steps = 30  # of Fisher scoring
     theta = _clip_parameters(_start(windows, sigma, sensor, profile), windows.half)
     active, part, limit = np.arange(len(windows)), windows, _step_limits(sigma)
     ended, fits = [], []
@@ -108,13 +106,10 @@ def _step_limits(sigma: float) -> Array:
     return 0.7 * np.array([sigma, sigma, 1.0])
 
 
-def _clip_parameters(theta: Array, half: int, *, log_flux_limits: tuple[float, float] = (-5.0, 18.0)) -> Array:
-    """Keep runaway fits where they can still be computed; they never converge.
-
-    log_flux_limits: fits that run away are kept within them.
-    """
-    low = [-half, -half, log_flux_limits[0]] + [-MAX_COUNTS] * (theta.shape[1] - 3)
-    high = [half, half, log_flux_limits[1]] + [MAX_COUNTS] * (theta.shape[1] - 3)
+def _clip_parameters(theta: Array, half: int) -> Array:
+    """Keep runaway fits where they can still be computed; they never converge."""
+    low = [-half, -half, -5.0] + [-MAX_COUNTS] * (theta.shape[1] - 3)
+    high = [half, half, 18.0] + [MAX_COUNTS] * (theta.shape[1] - 3)
     return np.clip(theta, low, high)
 
 
@@ -279,12 +274,7 @@ def _bends(theta: Array, windows: GlintWindows, sigma: float) -> tuple[Array, Ar
 
 
 def _finish(
-    theta: Array,
-    seen: _Comparison,
-    windows: GlintWindows,
-    step: Array,
-    converged: NDArray[np.bool_],
-    sensor: SensorSpec,
+    theta: Array, seen: _Comparison, windows: GlintWindows, step: Array, converged: Mask, sensor: SensorSpec
 ) -> GlintFit:
     """The results of fits whose last ``step`` (n, p) increases the log likelihood by half of step . slope."""
     mean, variance, flux = seen.mean, seen.variance, np.exp(theta[:, 2])

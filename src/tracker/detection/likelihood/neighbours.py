@@ -56,11 +56,9 @@ def find_isolated(frame: Ints, position: Array, distance: float) -> NDArray[np.b
     return _find_nearest(frame, position)[0] >= distance
 
 
-def _find_nearest(frame: Ints, xy: Array, *, frame_step_px: float = 1e6) -> tuple[Array, Ints]:
-    """Distance (n,), px, of the nearest other detection in the frame, and its row; infinity and -1 without one.
-
-    frame_step_px: distance of two frames, beyond any in a picture.
-    """
+def _find_nearest(frame: Ints, xy: Array) -> tuple[Array, Ints]:
+    """Distance (n,), px, of the nearest other detection in the frame, and its row; infinity and -1 without one."""
+    frame_step_px = 1e6  # distance of two frames, beyond any in a picture
     if len(frame) < 2:
         return np.full(len(frame), np.inf), np.full(len(frame), -1)
     each, places = np.arange(len(frame)), np.column_stack([xy, frame * frame_step_px])
