@@ -112,8 +112,8 @@ def test_short_tracks_of_noise_cost_no_search_for_contacts(monkeypatch):
     rows = np.concatenate([np.arange(60), *(np.arange(k, k + 7) for k in range(20))])
     columns = {name: getattr(hit, name)[rows] for name in Tracks.__dataclass_fields__}
     columns["particle"] = np.concatenate([hit.particle, np.repeat(np.arange(2, 22), 7)])
-    whole = contact_distance._relative
-    monkeypatch.setattr(contact_distance, "_relative", lambda *given: looked_at.append(given) or whole(*given))
+    whole = contact_distance._nearest
+    monkeypatch.setattr(contact_distance, "_nearest", lambda *given: looked_at.append(given) or whole(*given))
     assert contact_distances(Tracks(**columns)) == contact_distances(hit)
     assert len(looked_at) == 2  # the two balls, with the specks and without
 
