@@ -106,7 +106,7 @@ LAYERS = {
         "noise",
         "positions track_repair random_effects",
         "collision",
-        "camera_errors energy_momentum messages",
+        "camera_errors messages",
         "joint_fit painter_behringer lone_ball stretch_cuts",
         "local",
         "estimate",

@@ -26,7 +26,6 @@ from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.camera_json import BODIES
 from tracker.detection.link import Tracks
-from tracker.measurement import painter_behringer
 from tracker.measurement.camera_errors import (
     add_camera_errors,
     add_camera_errors_to_lasting,
@@ -79,13 +78,13 @@ from tracker.measurement.collision.noise_correlation import variance_of_residual
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, StayingPair, find_staying_pairs
 from tracker.measurement.crowd.crowd_rows import estimate_contacts
 from tracker.measurement.crowd.track_contacts import find_track_contacts
-from tracker.measurement.energy_momentum import BEFORE, make_motion_table
 from tracker.measurement.joint_fit import fit_all_jointly
 from tracker.measurement.local.local_columns import make_empty_columns, make_local_columns
 from tracker.measurement.local.local_estimate import LocalEstimate, estimate_locally
 from tracker.measurement.local.recommendation import recommend
 from tracker.measurement.lone_ball import PARAMETERS, add_camera_errors_to_lone_ball, fit_lone_ball
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
+from tracker.measurement.painter_behringer import BEFORE, make_motion_table, make_paper_columns
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 from tracker.settings import FitSettings
 
@@ -297,7 +296,7 @@ def _measure_collision(
     flags += [] if read.rejected_law is None else [read.rejected_law]
     row |= {"flags": "|".join([*read.flags, *flags, *read.impossible_values])}
     friction = float(np.nan_to_num(read.tied_values.value[QUANTITY_NAMES.index("mu_k")]))
-    row |= painter_behringer.make_paper_columns(contact, camera, friction, read.lasting)
+    row |= make_paper_columns(contact, camera, friction, read.lasting)
     if read.tied_is_straight:  # differences of noise
         row |= {f"{name}_paper{kind}": np.nan for name in AFTER_SLIDES for kind in ("", "_std")}
     nothing_known = "the positions show no quantity well enough; check their unit, the scale and fps"

@@ -1,4 +1,4 @@
-"""The paper's own measurement of a collision: finite differences at the frame of least separation.
+"""The paper's own measurement of a collision: finite differences at the frame of least separation, or frame by frame.
 
 It is kept because it shows the bias of the method. Within .01 s of the contact sliding has already slowed one ball
 and sped up the other. The restitution is therefore too low, and the lower the slower the frame rate.
@@ -8,20 +8,27 @@ Source: Painter & Behringer 2000, sections III B and IV, with the frames that th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from tracker.camera.camera import Camera
+from tracker.detection.link import Tracks
 from tracker.measurement.camera_errors import camera_errors
-from tracker.measurement.collision.collision_model import GRAVITY
+from tracker.measurement.collision.adequacy import MEASURED
+from tracker.measurement.collision.collision_model import AFTER, GRAVITY, tied_to_free
 from tracker.measurement.collision.contacts import Contact
 from tracker.measurement.collision.derived import QUANTITY_NAMES, cross, dot
 from tracker.measurement.collision.lasting_contact import LastingContact
-from tracker.measurement.positions import BallTrack
+from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 Floats = NDArray[np.float64]
+BEFORE = ("u2ix", "u2iy", "side2i", "v1ix", "v1iy")  # columns of estimates: SPIN and TARGET of a tied motion
+COLUMNS = ("t_s", "particle", "vx", "vy", "energy", "p_along", "p_across")
 
 
 def make_paper_columns(
@@ -37,18 +44,16 @@ def make_paper_columns(
     table = read_differences(contact, camera.fps)
     square = {name: std**2 for name, (_, std) in table.items()}
     for error in camera_errors(camera):
-        fps = camera.fps
-        pairs = ((sign, error.pair(contact.pair, sign, fps)) for sign in (1, -1))
-        high, low = (read_differences(replace(contact, pair=p), error.rate(fps, sign)) for sign, p in pairs)
+        moved = ((replace(contact, pair=error.pair(contact.pair, by, camera.fps)), by) for by in (1, -1))
+        high, low = (read_differences(one, error.rate(camera.fps, by)) for one, by in moved)
         for name in table:
             square[name] += ((high[name][0] - low[name][0]) / 2) ** 2
     square["r"] += find_bias_of_restitution(table, friction, camera.fps) ** 2
-    out = {}
+    out = dict[str, float]()
     for name, (value, _) in table.items():
         known = lasting is None or name == "v0"
-        out[f"{name}_paper"], out[f"{name}_paper_std"] = (
-            (value, float(np.sqrt(square[name]))) if known else (np.nan,) * 2
-        )
+        out |= {f"{name}_paper": value if known else np.nan}
+        out |= {f"{name}_paper_std": float(np.sqrt(square[name])) if known else np.nan}
     return out
 
 
@@ -79,10 +84,7 @@ def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, flo
     moved = np.concatenate([sample[None], sample + steps.reshape(-1, *sample.shape)])
     value, *others = _read(moved, taus, diameter, fps, contact.pair.target_moves)
     spread = np.nansum((np.array(others) - value) ** 2, axis=0)
-    names = (
-        *("v0", "b", "r", "s", "mu_k", "C", "v1f", "v2f", "energy_fraction", "momentum_fraction", "final_angle"),
-        *("w1n", "w1t", "w2n", "w2t"),
-    )
+    names = "v0 b r s mu_k C v1f v2f energy_fraction momentum_fraction final_angle w1n w1t w2n w2t".split()
     table = {name: (float(v), float(s)) for name, v, s in zip(names, value, np.sqrt(spread), strict=True)}
     time_std_frames = float(np.sqrt(2 / 12))  # of a time between two instants, each known to one frame
     for name, tau in zip(("tau1", "tau2"), taus, strict=True):
@@ -172,3 +174,53 @@ def _read(sample: Floats, taus: Floats, diameter: float, fps: float, moving: boo
         dot(one + two, start) / dot(start, start), np.arctan2(np.abs(cross(one, two)), dot(one, two)),
         w_n[:, 0], w_t[:, 0], w_n[:, 1], w_t[:, 1],
     ])  # fmt: skip
+
+
+def make_motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.DataFrame:
+    """Velocity, energy and momentum of each ball frame by frame, per unit mass.
+
+    Parameters
+    ----------
+    tracks, camera
+    row : mapping
+        A row of `measure`: the collision whose directions of slip count.
+
+    Returns
+    -------
+    DataFrame
+        t_s; particle; vx, vy (m/s): differences between the neighbouring frames; energy (m^2/s^2): v^2/2 less what
+        noise adds to it, which may fall below zero at rest; p_along, p_across (m/s): along the ball's own direction of
+        slip after the collision and across it (z x that), the paper's x and y; NaN for a ball that took no part in it.
+    """
+    slips = slip_directions(row)
+    balls = [c for c in to_ball_tracks(tracks, camera) if len(c) >= 2] if camera.metric else []
+    empty = [np.empty(0, np.int64 if name == "particle" else float) for name in COLUMNS]
+    parts = [empty, *(_differentiate_track(track, slips.get(track.particle)) for track in balls)]
+    whole = map(np.concatenate, zip(*parts, strict=True))
+    return pd.DataFrame(dict(zip(COLUMNS, whole, strict=True)))
+
+
+def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
+    """Find the direction of slip (2,) by particle just after the impact, to which momentum refers."""
+    launch = [row.get(name, np.nan) for name in ("heading", "b", "v0", "r", "C")]
+    if row.get("status") not in MEASURED or not np.all(np.isfinite(launch)):
+        return {}
+    heading, b, v0, r, c = map(float, launch)
+    before = [float(np.nan_to_num(row.get(name, 0.0))) for name in BEFORE]
+    tied = np.array([0, 0, 0, heading, np.arcsin(np.clip(b, -1, 1)), v0, 0, 0, r, 0, c, *before])
+    free = np.asarray(tied_to_free(tied), dtype=np.float64)
+    slips = {int(row[f"particle{ball}"]): free[at : at + 2] - free[at + 2 : at + 4] for ball, at in AFTER.items()}
+    return {particle: slip / max(float(np.hypot(*slip)), 1e-300) for particle, slip in slips.items()}
+
+
+def _differentiate_track(track: BallTrack, slip: Floats | None) -> list[NDArray[Any]]:
+    """The columns of one ball: velocities are differences between the neighbouring frames."""
+    last = len(track) - 1
+    ahead, behind = np.minimum(np.arange(last + 1) + 1, last), np.maximum(np.arange(last + 1) - 1, 0)
+    span = (track.start[ahead] - track.start[behind])[:, None]
+    velocity = (track.position[ahead] - track.position[behind]) / span
+    noise = np.trace(track.cov[ahead] + track.cov[behind], axis1=1, axis2=2) / span[:, 0] ** 2  # in v^2
+    along = np.full(2, np.nan) if slip is None else slip
+    across = np.array([-along[1], along[0]])
+    values = [track.time, np.full(len(track), track.particle), velocity[:, 0], velocity[:, 1]]
+    return [*values, ((velocity**2).sum(axis=1) - noise) / 2, velocity @ along, velocity @ across]

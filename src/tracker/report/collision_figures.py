@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from synthcam_shared.report.page import make_axes
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.collision_model import mean_positions, tied_to_free
-from tracker.measurement.energy_momentum import BEFORE, make_motion_table
+from tracker.measurement.painter_behringer import BEFORE, make_motion_table
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 if TYPE_CHECKING:

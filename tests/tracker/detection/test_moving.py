@@ -9,8 +9,8 @@ from tracker_billiard import Physics, play, positions, rolling, slip, truth
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.energy_momentum import slip_directions
 from tracker.measurement.estimate import measure
+from tracker.measurement.painter_behringer import slip_directions
 
 pytestmark = pytest.mark.usefixtures("not_local")
 
