@@ -142,10 +142,8 @@ class Result:
         units = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
         for row in self.rows:
             best = find_recommended_suffix(row)
-            values = (
-                f"{name} {format_with_error(row[f'{name}{best}'], row[f'{name}{best}_std'])} {unit}".strip()
-                for name, unit in units.items()
-            )
+            texts = {name: format_with_error(row[f"{name}{best}"], row[f"{name}{best}_std"]) for name in units}
+            values = (f"{name} {texts[name]} {unit}".strip() for name, unit in units.items())
             known = row["status"] in MEASURED or best
             measured_values = f": {', '.join(values)}" if known else ""
             used = f", {row['recommended']} estimate" if best else ""

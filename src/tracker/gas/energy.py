@@ -19,12 +19,8 @@ from scipy.spatial import ConvexHull
 from tracker.gas.velocities import FreePath, HalfVelocities
 
 Floats = NDArray[np.float64]
-SINKS = {
-    "contacts": "lost_in_contacts",
-    "walls": "lost_at_walls",
-    "plate": "lost_to_plate",
-    "unresolved": "lost_unresolved",
-}
+SINKS = {"contacts": "lost_in_contacts", "walls": "lost_at_walls", "plate": "lost_to_plate"}  # columns
+SINKS |= {"unresolved": "lost_unresolved"}
 
 
 def measure_energies(velocities: HalfVelocities, noise: float) -> tuple[Floats, Floats]:
@@ -33,9 +29,7 @@ def measure_energies(velocities: HalfVelocities, noise: float) -> tuple[Floats, 
     return square / 2, variance / 4
 
 
-def predict_losses(
-    contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float, *, least: int = 5
-) -> tuple[Floats, Floats, Floats]:
+def predict_losses(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float) -> tuple[Floats, Floats, Floats]:
     """Predict the energy that each contact takes, by its kick K and the velocities before it.
 
     Along the line of centres two balls lose K^2 (1 - r)/(1 + r). The median of all K/v_n of the film gives r. Across it
@@ -44,8 +38,8 @@ def predict_losses(
 
     Returns the values (n,), the variances (n,) of what each contact has for itself, and effects (n, 2). These are the
     effects of one standard error of r and of s, which all contacts share. Values are NaN for a table without kicks.
-    least: contacts with a known r.
     """
+    least = 5  # contacts with a known r
     lost, variance, common = *np.full((2, len(contacts)), np.nan), np.zeros((len(contacts), 2))
     if "kick" not in contacts or not len(contacts):
         return lost, variance, common
@@ -182,9 +176,7 @@ class _Step(NamedTuple):
 def _find_resolved(steps: Sequence[_Step], taken: Floats, bodies: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Decide which contacts are resolved: their losses are known, and so are the steps of all their balls.
 
-    A step is known if all its contacts are resolved. Otherwise what one ball gives to another would count as lost.
-
-    bodies: balls of each contact.
+    Otherwise what one ball gives to another would count as lost. bodies: balls of each contact.
     """
     resolved = np.isfinite(taken)
     while True:

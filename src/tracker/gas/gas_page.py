@@ -17,7 +17,6 @@ from tracker.gas.kinetic_theory import contact_pair_correlation
 from tracker.results import replace_non_finite
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 TABLES = {"time": "time.csv", "pairs": "pairs.csv", "velocities": "velocities.csv"}
@@ -107,11 +106,10 @@ def _values_table(gas: GasObservables) -> PageTable:
 
 
 def _energy_text(gas: GasObservables) -> list[Block]:
-    last = gas.time.iloc[-1]
-    rows = [
-        [WORDS[name], format_with_error(last[column] * 1e3, last[f"{column}_std"] * 1e3), f"{100 * share:.1f}"]
-        for (name, column), share in zip(SINKS.items(), _shares(gas).values(), strict=False)
-    ]
+    last, rows = gas.time.iloc[-1] * 1e3, []
+    for name, share in _shares(gas).items():
+        value, std = (last[f"{SINKS[name]}{end}"] for end in ("", "_std"))
+        rows.append([WORDS[name], format_with_error(value, std), f"{100 * share:.1f}"])
     return [PageTable(["lost to", "10⁻³ m²/s², all balls", "%"], rows, "Until the last frame, per unit mass")]
 
 
@@ -122,18 +120,10 @@ def draw_temperature(gas: GasObservables) -> Figure:
     t, value = time["t_s"], time["temperature"]
     spread = np.hypot(time["temperature_sampling"], time["temperature_std"])
     axes.fill_between(t, np.maximum(value - spread, value / 10), value + spread, color="0.85", lw=0, label="few balls")
-    step = max(len(time) // 40, 1)
     axes.plot(t, value, color=COLOURS["plate"], lw=0.8)
-    some = time.iloc[::step]
-    axes.errorbar(
-        some["t_s"],
-        some["temperature"],
-        some["temperature_std"],
-        fmt="o",
-        ms=2.5,
-        color=COLOURS["plate"],
-        label="measured, ± noise",
-    )
+    some = time.iloc[:: max(len(time) // 40, 1)]
+    points = {"fmt": "o", "ms": 2.5, "color": COLOURS["plate"], "label": "measured, ± noise"}
+    axes.errorbar(some["t_s"], some["temperature"], some["temperature_std"], **points)
     axes.set(xlabel="t / s", ylabel="T / (m²/s²)", yscale="log")
     axes.legend(frameon=False)
     return figure
@@ -158,26 +148,18 @@ def draw_energy_sinks(gas: GasObservables) -> Figure:
 def draw_velocities_and_pair_correlation(gas: GasObservables) -> Figure:
     """Draw the distribution of velocities beside a Maxwellian, and the pair correlation beside theory."""
     figure, (left, right) = make_axes(1, 2, figsize=(9.6, 3.6))
-    _draw_velocities(left, gas)
+    points = {"fmt": "o", "color": COLOURS["plate"], "label": "measured"}
+    table, c = gas.velocities[gas.velocities["density"] > 0], np.linspace(-4, 4, 201)
+    left.errorbar(table["c"], table["density"], table["density_std"], ms=3, **points)
+    left.plot(c, np.exp(-(c**2) / 2) / np.sqrt(2 * np.pi), color="0.4", label="Maxwellian")
+    limits: dict[str, Any] = {"ylim": (1e-4, 2)} if len(table) else {}
+    left.set(xlabel="component of v / √T", ylabel="density", yscale="log", **limits)
+    left.legend(frameon=False)
     pairs = gas.pairs
-    right.errorbar(
-        pairs["r"] / gas.diameter, pairs["g"], pairs["g_std"], fmt="o", ms=2.5, color=COLOURS["plate"], label="measured"
-    )
+    right.errorbar(pairs["r"] / gas.diameter, pairs["g"], pairs["g_std"], ms=2.5, **points)
     right.axhline(1, color="0.6", lw=0.8)
     contact = float(contact_pair_correlation(gas.values["area_fraction"]))
     right.plot(1, contact, "s", color=COLOURS["contacts"], label="hard discs at contact")
     right.set(xlabel="distance / diameter", ylabel="pair correlation g", ylim=(0, None))
     right.legend(frameon=False)
     return figure
-
-
-def _draw_velocities(axes: Axes, gas: GasObservables) -> None:
-    table = gas.velocities[gas.velocities["density"] > 0]
-    axes.errorbar(
-        table["c"], table["density"], table["density_std"], fmt="o", ms=3, color=COLOURS["plate"], label="measured"
-    )
-    c = np.linspace(-4, 4, 201)
-    axes.plot(c, np.exp(-(c**2) / 2) / np.sqrt(2 * np.pi), color="0.4", label="Maxwellian")
-    limits: dict[str, Any] = {"ylim": (1e-4, 2)} if len(table) else {}
-    axes.set(xlabel="component of v / √T", ylabel="density", yscale="log", **limits)
-    axes.legend(frameon=False)

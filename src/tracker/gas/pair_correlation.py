@@ -31,9 +31,7 @@ def pair_correlation(
     found = np.array([_count_pairs(xy, edges) for xy in positions], dtype=np.float64).reshape(-1, bins)
     pairs = np.array([len(xy) * (len(xy) - 1) / 2 for xy in positions])
     expected = np.diff(_share_within(edges, *size)) * pairs[:, None]
-    blocks = [
-        rows for rows in np.array_split(np.arange(len(positions)), TIME_BLOCKS) if len(rows) and pairs[rows].sum() > 0
-    ]
+    blocks = [rows for rows in np.array_split(np.arange(len(positions)), TIME_BLOCKS) if pairs[rows].sum() > 0]
     middle = (edges[1:] + edges[:-1]) / 2
     if not blocks:
         return pd.DataFrame({"r": middle, "g": np.nan, "g_std": np.nan})

@@ -119,9 +119,8 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
         )
     ratio, std = (used[name].to_numpy(float) for name in ("mass_ratio", "mass_ratio_std"))
     known = used["local"].str.contains('"masses_known":true').to_numpy(bool)
-    unequal = ~known & (
-        np.abs(np.log(np.clip(ratio, 0.01, 100))) > np.maximum(5 * std / np.clip(ratio, 0.01, 100), 0.02)
-    )
+    clipped = np.clip(ratio, 0.01, 100)
+    unequal = ~known & (np.abs(np.log(clipped)) > np.maximum(5 * std / clipped, 0.02))
     if unequal.any():
         texts.append(
             f"masses: recoil contradicts equal masses in {_count(int(unequal.sum()))}, with a ratio of"

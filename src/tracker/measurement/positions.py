@@ -163,9 +163,8 @@ def _limit_drift(drift: tuple[float, float], cov: Floats) -> tuple[float, float]
 def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]:
     """Add the part of an encoder's errors that persists while a ball moves on to its fixed errors.
 
-    H.264 moves what it shows by quarters of a pixel from frame to frame, so that errors are a sawtooth. They persist
-    where a ball's speed along an axis comes near a multiple of that. A film does not show this part of its own errors,
-    because the fitted motion absorbs it.
+    H.264 moves what it shows by quarters of a pixel from frame to frame. Errors persist where a ball's speed along an
+    axis comes near a multiple of that, and the fitted motion then absorbs them.
     """
     # Share of the variance that persists, of positions with errors of `at_px`; it grows with their square. With this
     # share z is 1 in 600 clips of two seeds, at crf 18, 23 and 28 (errors of .063, .078 and .105 px).

@@ -106,7 +106,7 @@ class GeneralisedQ:
 
 
 def fit_random_effects(
-    value: Floats, std: Floats, shared: Floats | None = None, design: Floats | None = None, *, level: float = 0.95
+    value: Floats, std: Floats, shared: Floats | None = None, design: Floats | None = None
 ) -> RandomEffects:
     """Fit a random-effects mean, or a regression on the columns of a design.
 
@@ -118,15 +118,13 @@ def fit_random_effects(
         Change of each value by one standard error of each shared error.
     design : (n, p) array, optional
         Columns of the regression, of rank p <= n; default: a column of ones.
-    level : float
-        Probability of all intervals.
     """
     n = len(value)
     design = np.ones((n, 1)) if design is None else design
     alone = np.zeros((n, 0))
     problem = GeneralisedQ(value, std**2, alone if shared is None else shared, design)
     own = GeneralisedQ(value, std**2, alone, design)
-    dof, tail, q = n - design.shape[1], (1 - level) / 2, problem.fit(0.0)[2]
+    dof, tail, q = n - design.shape[1], (1 - 0.95) / 2, problem.fit(0.0)[2]
     variance = problem.find_variance(dof)
     coefficients, whole, left = problem.fit(variance)
     factor = left / dof if dof else 1.0

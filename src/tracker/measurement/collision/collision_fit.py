@@ -236,10 +236,8 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
 
 def _is_too_bad(pair: BallPair, chi2: float, dof: int, least: float) -> bool:
     """Decide whether a fit is rejected, and its chi^2 per degree of freedom is not below `least` either."""
-    return (
-        chi2 / max(dof, 1) > least
-        and compute_p_value(chi2, dof, pair.striker.noise_dof) < pair.settings.rejection_level
-    )
+    p = compute_p_value(chi2, dof, pair.striker.noise_dof)
+    return chi2 / max(dof, 1) > least and p < pair.settings.rejection_level
 
 
 def _bound_chi2_of_sliding(pair: BallPair, start: Floats) -> tuple[float, int]:
@@ -275,6 +273,12 @@ def fit_lasting_collision(
     for ball, seen in enumerate(fits.slide_ends_seen, 1):
         if not seen:
             unseen |= name_quantities_of_slide(ball)
+    # the laws that tie v0 and b hold less exactly while a contact lasts
+    tied_values, free_values = fits.tied.values(), fits.free.values()
+    value, cov = tied_values.value.copy(), tied_values.cov.copy()
+    for k in (QUANTITY_NAMES.index("v0"), QUANTITY_NAMES.index("b")):
+        value[k], cov[k], cov[:, k] = free_values.value[k], 0.0, 0.0
+        cov[k, k] = free_values.cov[k, k]
     flag = Flag.STRAIGHT
     if fits.contact is not None:
         flag = Flag.LASTS if fits.contact.is_certain else Flag.LASTS_OR_SMALLER
@@ -283,21 +287,12 @@ def fit_lasting_collision(
         tied=tied,
         free=free,
         slide_ends_seen=fits.slide_ends_seen,
-        tied_values=_with_launch(fits.tied.values(), fits.free.values()),
-        free_values=fits.free.values(),
+        tied_values=replace(tied_values, value=value, cov=cov),
+        free_values=free_values,
         flags=(flag,),
         unseen=frozenset(unseen),
         fits=fits,
     )
-
-
-def _with_launch(tied: DerivedValues, free: DerivedValues) -> DerivedValues:
-    """The tied values with v0 and b of the free fit: the laws that tie them hold less exactly while a contact lasts."""
-    value, cov = tied.value.copy(), tied.cov.copy()
-    for k in (QUANTITY_NAMES.index("v0"), QUANTITY_NAMES.index("b")):
-        value[k], cov[k], cov[:, k] = free.value[k], 0.0, 0.0
-        cov[k, k] = free.cov[k, k]
-    return replace(tied, value=value, cov=cov)
 
 
 def _is_accepted(read: CollisionFits | str) -> bool:
@@ -310,11 +305,9 @@ def _reduced_chi2(read: CollisionFits | str) -> float:
 
 def _is_same_minimum(one: CollisionFit, other: CollisionFit) -> bool:
     """Test whether two fits of the same positions ended in one minimum, within what ends a descent."""
-    close = abs(one.chi2 - other.chi2) <= 1e-6 * one.chi2
+    is_alike = abs(one.chi2 - other.chi2) <= 1e-6 * one.chi2 and one.dropped == other.dropped
     errors = np.sqrt(np.diag(one.cov) * max(1.0, one.chi2 / max(one.dof, 1)))
-    return bool(
-        close and one.dropped == other.dropped and (abs(one.parameters - other.parameters) <= 0.01 * errors).all()
-    )
+    return is_alike and bool((abs(one.parameters - other.parameters) <= 0.01 * errors).all())
 
 
 def _fit_with_noise(contact: Contact, starts: list[Floats], tied: CollisionFit | None = None) -> CollisionFits | str:
@@ -344,14 +337,7 @@ def _fit_both(contact: Contact, starts: list[Floats], tied: CollisionFit | None 
         else:
             tied = fit_motion(fewer.pair, True, [tied.parameters], whole=True)
         tied, free = (replace(fit, dropped=fewer.dropped) for fit in (tied, free))
-    read = CollisionFits(
-        contact=contact,
-        tied=tied,
-        free=free,
-        slide_ends_seen=seen,
-        tied_values=derive_quantities(tied),
-        free_values=derive_quantities(free),
-    )
+    read = CollisionFits(contact, tied, free, seen, derive_quantities(tied), derive_quantities(free))
     if free.chi2 > 1e4 * free.dof:  # 100 sigma off everywhere: this is another motion
         return "no collision of two rolling balls fits the tracks"
     return read if tied.converged or not read.is_tied_accepted else "the fit did not converge"

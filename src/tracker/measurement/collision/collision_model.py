@@ -201,12 +201,10 @@ def _areas(free: Floats, second: NDArray[np.int64], since: Floats) -> tuple[Floa
     """
     area, slope = np.zeros((len(since), 2)), np.zeros((len(FREE), len(since), 2))
     came = since < 0
-    rows = np.flatnonzero(came & (second > 0) if not (free[-2] or free[-1]) else came)
-    if len(rows):
-        area[rows], slope[:, rows] = _approach(free, second[rows], since[rows])
-    rows = np.flatnonzero(~came)
-    if len(rows):
-        area[rows], slope[:, rows] = _departure(free, second[rows], since[rows])
+    moved = came if free[-2] or free[-1] else came & (second > 0)
+    for rows, displace in ((np.flatnonzero(moved), _approach), (np.flatnonzero(~came), _departure)):
+        if len(rows):
+            area[rows], slope[:, rows] = displace(free, second[rows], since[rows])
     return area, slope
 
 

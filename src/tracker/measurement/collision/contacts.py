@@ -254,8 +254,8 @@ def _assign_roles(pair: BallPair, frame: int) -> Contact:
 def _rest_start(track: BallTrack, frame: int, slow: float) -> int | None:
     """First frame from which a ball rests until the contact; None if it moves then.
 
-    The stretch grows from the contact outwards for as long as one position describes it. So a ball that rolled to a
-    stop before counts as resting from there on. The frame next to the contact may be late where others are missing.
+    The stretch grows from the contact outwards for as long as one position describes it: a ball may have rolled to a
+    stop before. The frame next to the contact may be late where others are missing.
     """
     before = track.where(track.frame < frame - 1)
     if len(before) < 2:

@@ -96,19 +96,15 @@ class DeparturePosterior:
 def weigh_departures(departures: Sequence[LawDeparture]) -> DeparturePosterior:
     """Average n departures over the 2^n models in which each is zero or not."""
     size = [one.std for one in departures]
-    noise = sum(
-        rows @ rows.T
-        for rows in (np.array([getattr(one, name) for one in departures]) for name in ("response", "shared"))
-    )
+    response, shared = (np.array([getattr(one, name) for one in departures]) for name in ("response", "shared"))
+    noise = response @ response.T + shared @ shared.T
     precision = noise / np.outer(size, size)
     np.fill_diagonal(precision, 1.0)
     z, typical = (np.array([getattr(one, name) for one in departures]) / size for name in ("value", "typical"))
     return find_posterior(z, precision, typical, [one.expected for one in departures])
 
 
-def find_posterior(
-    z: Floats, precision: Floats, scales: Floats, expected: Sequence[float], *, step: float = 0.3
-) -> DeparturePosterior:
+def find_posterior(z: Floats, precision: Floats, scales: Floats, expected: Sequence[float]) -> DeparturePosterior:
     """Find the posterior of n parameters that are zero or not, from measured values with normal errors.
 
     z (n,): the values, each as measured if all others are zero. precision (n, n): as of `DeparturePosterior`. scales
@@ -119,6 +115,7 @@ def find_posterior(
     (Andrews & Mallows, J. R. Stat. Soc. B 36 (1974) 99). With normal priors all is in closed form. The trapezoidal
     rule over log |u| converges exponentially (Trefethen & Weideman, SIAM Rev. 56 (2014) 385): to 1e-6 with this step.
     """
+    step = 0.3
     log_u = np.arange(-10.0, 2.1, step)
     share = step * np.sqrt(2 / np.pi) * np.exp(log_u - np.exp(2 * log_u) / 2)  # wider normal priors explain nothing
     widths = [np.append(0.0, scale / np.exp(log_u)) for scale in scales]
@@ -186,15 +183,13 @@ def find_departure(
     displace: Callable[[WhitenedResiduals, Floats], Floats],
     known: Floats | None = None,
     by_tied: LawDeparture | None = None,
-    *,
-    least_share: float = 1e-3,
 ) -> LawDeparture | None:
     """Find a departure by one linear step from a tied or a free fit, without what is expected of it before.
 
     displace(problem, rows): derivative of the whitened residuals (m,) by the parameter; `rows` (m, p) has those by the
     fitted parameters. known (m, k): derivatives by errors of the camera file, per standard error. by_tied: the same
     departure by the tied fit of the same positions, for a free fit. None where the parameters of the fit absorb the
-    departure, however large, but for `least_share` of its displacements.
+    departure, however large, but for a thousandth of its displacements.
     """
     problem, residual, rows, cov = fit.linearise()
     by = displace(problem, rows)
@@ -207,7 +202,7 @@ def find_departure(
         inverse = np.linalg.inv(np.eye(known.shape[1]) + rest.T @ rest)
         weighted = left - rest @ (inverse @ (rest.T @ left))
     square, pull = float(weighted @ left), float(weighted @ residual)
-    if not square > least_share**2 * float(by @ by):
+    if not square > 1e-3**2 * float(by @ by):
         return None
     std = 1.0 / np.sqrt(square)
     by_camera = None  # shifts of the parameters; they change the weights with which a free fit averages both balls
@@ -219,9 +214,8 @@ def find_departure(
         """The change of the quantities per change `by` of the parameters, from so much of it."""
         step = np.zeros(len(fit.parameters))
         step[problem.index] = size * by
-        more, less = (
-            derive_values(fit, fit.parameters + sign * step, fit.pair.diameter, by_camera) for sign in (1, -1)
-        )
+        at = (fit.parameters + sign * step for sign in (1, -1))
+        more, less = (derive_values(fit, parameters, fit.pair.diameter, by_camera) for parameters in at)
         return np.nan_to_num((more - less) / (2 * size))
 
     small = 0.01  # of a standard error
@@ -306,13 +300,12 @@ def find_slope_of_friction(
     return replace(found, effect=effect, typical=typical, expected=expected, is_shown=fit.is_tied)
 
 
-def find_p_of_motion(free: CollisionFit, noise_dof: float, *, least_share: float = 1e-3) -> float:
+def find_p_of_motion(free: CollisionFit, noise_dof: float) -> float:
     """Find the probability of so large a gain of chi^2 from other laws of motion, if those of the free fit are true.
 
     Chi^2 of all positions hardly shows a friction that falls with the speed, or a slope. The displacements that such
-    laws cause are tested alone, by one linear step. NaN where the fit itself absorbs all of them.
-
-    noise_dof: as in `compute_p_value`; least_share: of a displacement, that the parameters of the fit must leave.
+    laws cause are tested alone, by one linear step. NaN where the fit itself absorbs all of them. noise_dof: as in
+    `compute_p_value`.
     """
     problem, residual, rows, _ = free.linearise()
     since = problem.start + free.pair.struck.exposure / 2 - free.parameters[0]
@@ -323,7 +316,7 @@ def find_p_of_motion(free: CollisionFit, noise_dof: float, *, least_share: float
     known = np.linalg.qr(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-30))[0]
     left = others - known @ (known.T @ others)
     basis, values, _ = np.linalg.svd(left, full_matrices=False)
-    basis = basis[:, values > least_share]
+    basis = basis[:, values > 1e-3]  # of a displacement, that the parameters of the fit leave
     count = basis.shape[1]
     if not count or not noise_dof > 0:
         return np.nan

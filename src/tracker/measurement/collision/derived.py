@@ -100,24 +100,19 @@ def derive_from_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0
 
     diameter in m; spin in m/s, see `tied_to_free`.
     """
-    value, slope = _with_slope(lambda p: _values_from_tied(p, diameter, spin), tied, cov)
+    value, slope = _with_slope(lambda p: derive_values_from_tied(p, diameter, spin), tied, cov)
     if not tied[-2:].any():
         value[_UNTURNED] = slope[_UNTURNED] = 0.0
     return DerivedValues(value, slope @ cov @ slope.T)
 
 
 def derive_values_from_tied(tied: Floats, diameter: float, spin: float = 0.0) -> Floats:
-    """Derive the quantities (20,) of `derive_from_tied` without their covariance, which takes most of its time."""
-    value = _values_from_tied(tied, diameter, spin)
-    if not tied[-2:].any():
-        value[_UNTURNED] = 0.0
-    return value
-
-
-def _values_from_tied(tied: Floats, diameter: float, spin: float) -> Floats:
+    """Derive the quantities (..., 20) of `derive_from_tied` without their covariance, which takes most of its time."""
     slip = tied[..., TIED.index("ux") : TIED.index("uy") + 1]
     both = derive_from_each_ball(np.asarray(tied_to_free(tied, spin), dtype=np.float64), diameter, slip)
-    return np.delete(both, [QUANTITY_NAMES.index("mu_k") + 1, QUANTITY_NAMES.index("C") + 2], axis=-1)
+    value = np.delete(both, [QUANTITY_NAMES.index("mu_k") + 1, QUANTITY_NAMES.index("C") + 2], axis=-1)
+    value[~tied[..., -2:].any(axis=-1), _UNTURNED] = 0.0
+    return value
 
 
 def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # type: ignore[no-untyped-def]

@@ -646,9 +646,8 @@ def shows_friction(tied: DerivedValues, settings: FitSettings) -> bool:
 def _may_hide_slide(straight: LastingFit) -> bool:
     """Decide whether balls that seem to move straight after the contact may have slid, for hardly longer than it.
 
-    Balls that begin to roll at once part at (5 r - 2)/7 of their closing speed. The tied fit is tried with the friction
-    that plates have. Each may change by a quarter of its value, so that none between them is left out. The contact
-    hides a slide if one describes the tracks with another restitution that is possible.
+    Balls that begin to roll at once part at (5 r - 2)/7 of their closing speed. The contact hides a slide if the tied
+    fit, with a friction that plates have, describes the tracks with another restitution that is possible.
     """
     pair, n = straight.problem.pair, QUANTITY_NAMES.index("r")
     index, r = LastingResiduals(pair, "tied").index, float(straight.restitution(straight.x)[0])

@@ -49,9 +49,8 @@ def list_alternative_strikers(contact: Contact, rolling: Floats) -> Iterator[Str
 
 def is_believable_striker(tied: CollisionFit, free: CollisionFit) -> bool:
     """Decide whether a striker can spin or slide as a fit finds it."""
-    max_spin = (
-        1.25  # R w over v: a cue slips off a ball beyond half a radius from its centre, which gives 5/2 times 1/2
-    )
+    # R w over v: a cue slips off a ball beyond half a radius from its centre, which gives 5/2 times 1/2
+    max_spin = 1.25
     least_deceleration = 5.0  # standard errors by which a sliding striker must be seen to slow down before the contact
     v0, ux, uy, side = (tied.parameters[TIED.index(name)] for name in ("v0", *SPIN))
     if abs(side) > max_spin * v0 or np.hypot(ux, uy) > (1 + max_spin) * v0:

@@ -151,11 +151,9 @@ def _slide_duration(contact: TrackContact, settings: FitSettings) -> float:
 
 def _seen_slide(contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings) -> float:
     """How long a ball slides after a contact before it has another, s."""
-    later = [
-        min((c.time for c in found if ball in c.balls and c.time > contact.time), default=np.inf)
-        for ball in contact.balls
-    ]
-    return min(_slide_duration(contact, settings), max(later) - contact.time)
+    after = [c for c in found if c.time > contact.time]
+    ends = (min((c.time for c in after if ball in c.balls), default=np.inf) for ball in contact.balls)
+    return min(_slide_duration(contact, settings), max(ends) - contact.time)
 
 
 def _still_slides(particle: int, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings) -> bool:

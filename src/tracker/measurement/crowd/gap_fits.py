@@ -302,11 +302,8 @@ def fit_gaps(gaps: ContactGaps, settings: ContactFinderSettings, diameter: float
         slide = fit(used, earlier)
         return rolls.replace_where(slide.chi2 < rolls.chi2, slide)
 
-    before, after, whole = (
-        fit_with_slides(gaps.before),
-        fit(gaps.after, none),
-        fit_with_slides(gaps.before | gaps.after),
-    )
+    before, whole = fit_with_slides(gaps.before), fit_with_slides(gaps.before | gaps.after)
+    after = fit(gaps.after, none)
     touch = diameter, settings.distance_share * diameter
     times = np.linspace(gaps.low, gaps.high, steps_in_gap + 1, axis=-1)  # (m, steps)
     at, slips = np.zeros(len(times)), np.zeros_like(gaps.position[:, :, 0])
@@ -364,10 +361,8 @@ def _predict_slips(
     another upwards or downwards, and change the spins. A wall does that twice as much as a ball at rest.
     """
     at = np.broadcast_to(start[:, None], has[0].shape)
-    old, new = (
-        np.where(known[..., None], side.velocity(at)[0], np.nan)
-        for known, side in zip(has, (before, after), strict=True)
-    )
+    sides = zip(has, (before, after), strict=True)
+    old, new = (np.where(known[..., None], side.velocity(at)[0], np.nan) for known, side in sides)
     left = np.where(has[0][..., None], before.slides.left(at), 0.0)
     kicks, rolled = new - old, old - left
     if kicks.shape[1] == 1:

@@ -259,13 +259,9 @@ def _find_partners(found: Sequence[TrackContact], balls: Sequence[BallTrack], fi
             continue
         middle = (contact.xy + chosen[2]) / 2
         whole = replace(contact, other=chosen[0], normal=chosen[1], xy=middle)
-        out = [
-            c
-            for c in out
-            if c is not contact
-            and not (c.balls == (chosen[0],) and abs(c.time - contact.time) < same and c.normal @ chosen[1] < -best / 2)
-        ]
-        out.append(whole)
+        of_other = [c for c in out if c.balls == (chosen[0],) and abs(c.time - contact.time) < same]
+        gone = [contact, *(c for c in of_other if c.normal @ chosen[1] < -best / 2)]
+        out = [*(c for c in out if not any(c is one for one in gone)), whole]
     return out
 
 

@@ -87,11 +87,6 @@ def _answer(asked: Sequence[list[Descent]]) -> list[list[list[LocalSolution]] | 
         return [answer for each in asked for answer in _answer([each])]  # one hit never costs the others
 
 
-def solve_problem(problem: LocalProblem, x: Floats, sizes: Sequence[float], least_gain: float = 1e-4) -> LocalSolution:
-    """Solve one local fit: descend to its minimum."""
-    return solve_descents([Descent.of(problem, x, sizes, least_gain)])[0][0]
-
-
 def solve_descents(descents: Sequence[Descent]) -> list[list[LocalSolution]]:
     """Solve local fits of one or several hits (Levenberg and Marquardt)."""
     out = dict[int, list[LocalSolution]]()
@@ -119,13 +114,11 @@ def _solve_stack(descents: Sequence[Descent]) -> list[list[LocalSolution]]:
     """Solve the descents of problems of the same form."""
     count = np.array([len(descent.problems) for descent in descents])
     first = np.cumsum(count) - count
-    stack = ProblemStack(
-        [problem for descent in descents for problem in descent.problems],
-        np.repeat([descent.sizes for descent in descents], count, axis=0),
-    )
-    steps = np.repeat([descent.steps for descent in descents], count)
-    hopeless = np.repeat([descent.hopeless for descent in descents], count)
-    least_gain = np.repeat([descent.least_gain for descent in descents], count)
+    problems = [problem for descent in descents for problem in descent.problems]
+    names = ("sizes", "steps", "hopeless", "least_gain")
+    given = ([getattr(descent, name) for descent in descents] for name in names)
+    sizes, steps, hopeless, least_gain = (np.repeat(values, count, axis=0) for values in given)
+    stack = ProblemStack(problems, sizes)
     x, each = np.concatenate([descent.x for descent in descents]), np.arange(stack.one.size)
     active = np.arange(len(x))
     cost, pull, square = stack.sum_squares(x, active)
@@ -161,20 +154,11 @@ def _read_solutions(stack: ProblemStack, x: Floats, cost: Floats, square: Floats
     unit[:, each, each] += free
     volume = -np.linalg.slogdet(unit)[1] / 2 - np.log(np.where(free, 0.55, size)).sum(axis=1)
     residuals, freedoms, known = stack.weigh_positions(x, cov)
-    return [
-        LocalSolution(
-            problem=problem,
-            x=x[i],
-            cov=cov[i],
-            sizes=tuple(stack.sizes[i].tolist()),
-            residual=residuals[i][own],
-            freedom=freedoms[i][own],
-            cost=float(cost[i]),
-            cost_of_known=float(known[i]),
-            log_volume=float(volume[i]),
-        )
-        for i, (problem, own) in enumerate(zip(stack.problems, stack.present, strict=True))
-    ]
+    out, numbers = list[LocalSolution](), np.column_stack([cost, known, volume]).tolist()
+    for i, (problem, own) in enumerate(zip(stack.problems, stack.present, strict=True)):
+        sizes, left, freedom = tuple(stack.sizes[i].tolist()), residuals[i][own], freedoms[i][own]
+        out.append(LocalSolution(problem, x[i], cov[i], sizes, left, freedom, *numbers[i]))
+    return out
 
 
 def follow_displacements(solution: LocalSolution, moved: Sequence[Floats]) -> Floats:
@@ -331,18 +315,14 @@ class ProblemStack:
         """Residuals (m, rows) of what is known, and their derivatives (m, rows, n)."""
         by = self.by_known[which]
         known = (by @ x[..., None])[..., 0] - self.known[which]
-        self._add_distance(x, which, known, by)
+        gap, error = x[:, 1:3] - x[:, 3:5], self.distance_error[which]
+        apart = np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 1e-12)
+        known[:, 0] = (apart - self.diameter[which]) / error  # of the distance at which the bodies touch
+        by[:, 0, 1:3] = gap / apart[:, None] / error[:, None]
+        by[:, 0, 3:5] = -by[:, 0, 1:3]
         for row, k in enumerate(self.slides, 1):
             self._add_friction_direction(x, which, k, known, by, row)
         return known, by
-
-    def _add_distance(self, x: Floats, which: Ints, known: Floats, by: Floats) -> None:
-        """Add the residual and the derivatives of the distance at which the bodies touch."""
-        gap, error = x[:, 1:3] - x[:, 3:5], self.distance_error[which]
-        apart = np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 1e-12)
-        known[:, 0] = (apart - self.diameter[which]) / error
-        by[:, 0, 1:3] = gap / apart[:, None] / error[:, None]
-        by[:, 0, 3:5] = -by[:, 0, 1:3]
 
     def _add_friction_direction(self, x: Floats, which: Ints, k: int, known: Floats, by: Floats, row: int) -> None:
         """Add the residual and the derivatives of the direction of friction.

@@ -136,9 +136,8 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
     common = _list_common_errors(row, errors, response, by_mass[:, 0])
     fixed, widened = _split_variances(raw)
     by_residuals = fixed + errors.factor**2 * widened
-    wide = np.sqrt(
-        by_residuals + ((response * size) ** 2).sum(axis=1) + sum(effect**2 for _, effect in common.values())
-    )
+    by_set = sum(effect**2 for _, effect in common.values())
+    wide = np.sqrt(by_residuals + ((response * size) ** 2).sum(axis=1) + by_set)
     shared = raw["shared"] | _name_effects(common)
     role = _role(row)
     value = value + by_mass[:, 0] * role * errors.log_ratio

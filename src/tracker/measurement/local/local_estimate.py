@@ -95,12 +95,8 @@ def estimate_in_steps(
     glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
     lasts = contact.end > contact.start
     settings = contact.pair.settings
-    known = LocalPriors(
-        contact.pair.diameter,
-        friction=settings.local_friction,
-        friction_factor=settings.local_friction_factor,
-        loss=settings.local_rolling_loss_m_s2,
-    )
+    friction = {"friction": settings.local_friction, "friction_factor": settings.local_friction_factor}
+    known = LocalPriors(contact.pair.diameter, **friction, loss=settings.local_rolling_loss_m_s2)
     if slide is not None:
         known = replace(known, slide_s=slide[0], slide_factor=slide[1])
     on_plate = False in glides

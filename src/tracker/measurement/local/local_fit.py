@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -327,8 +328,7 @@ def _vary_each_slide(
     return out + ((yield from _solve_with_durations(parts[1:], k, likely)) if len(parts) > 1 else [])
 
 
-@dataclass(frozen=True)
-class SlideDuration:
+class SlideDuration(NamedTuple):
     """A duration that a slide may have, s, with the error of its logarithm and the logarithm of its prior."""
 
     lasts: float
@@ -366,12 +366,10 @@ def _solve_with_durations(
 def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_on: bool) -> list[SlideDuration]:
     """List durations of one slide: two below the first position, cells, and one above the stretch.
 
-    The cells divide the durations with which the stretch alone fits hardly worse than with the best. If they divided
-    the whole stretch, the velocity could change by many errors from one cell to the next.
-
-    Before a contact they are those of the roll. A hit comes at any time after the slide, so the prior of the roll is
-    uniform over the stretch. A wide prior of its logarithm would give a quarter of the probability to a roll that no
-    position shows. may_slide_on: the slide may also last up to the contact, which is the first cell.
+    The cells divide the durations with which the stretch alone fits hardly worse than with the best; over more of it,
+    the velocity could change by many errors from one cell to the next. Before a contact they are those of the roll,
+    whose prior is uniform over the stretch, because a hit comes at any time after the slide. may_slide_on: the slide
+    may also last up to the contact, which is the first cell.
     """
     priors, stretch = solution.problem.priors, solution.problem.stretches[k]
     since = np.abs(stretch.time - solution.x[0])
@@ -386,9 +384,9 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
     least = np.linspace(first, 1.5 * last, 5 * durations)
     inside = np.append(least[least < last], last)
     seen = np.flatnonzero(fits(inside))
-    low, high = (
-        (inside[max(seen[0] - 1, 0)], inside[min(seen[-1] + 1, len(inside) - 1)]) if len(seen) else (first, last)
-    )
+    low, high = first, last
+    if len(seen):
+        low, high = inside[max(seen[0] - 1, 0)], inside[min(seen[-1] + 1, len(inside) - 1)]
     ends = np.concatenate([[1e-3 * first, first / 3, first], np.linspace(low, high, durations + 1), [last, 2 * last]])
     if stretch.after:
         below = ndtr((np.log(np.append(ends[:-1], np.inf)) - np.log(priors.slide_s)) / priors.slide_factor)
@@ -399,12 +397,6 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
         below = np.append(0.0, share + (1 - share) * np.minimum(ends[1:] / last, 1.0))
     middles, widths = (ends[1:] + ends[:-1]) / 2, np.diff(ends) / np.sqrt(12)
     enough = np.any(fits(np.concatenate([ends[:-1], middles, ends[1:]])).reshape(3, -1), axis=0)
-    return [
-        SlideDuration(
-            lasts=float(middles[i]),
-            error=float(widths[i] / middles[i]),
-            log_prior=float(np.log(max(below[i + 1] - below[i], 1e-12))),
-        )
-        for i in range(len(middles))
-        if enough[i] and widths[i] > 0
-    ]
+    log_priors = np.log(np.maximum(np.diff(below), 1e-12))
+    cells = zip(middles.tolist(), (widths / middles).tolist(), log_priors.tolist(), strict=True)
+    return [SlideDuration(*cell) for cell, known in zip(cells, enough & (widths > 0), strict=True) if known]
