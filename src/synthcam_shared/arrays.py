@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 

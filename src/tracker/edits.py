@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from synthcam_shared.arrays import Flags, Ints
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Positive, Settings, build_settings, read_settings
 from tracker.detection.link import Tracks
@@ -36,7 +36,7 @@ class Edit(Settings):
         """The tracks with this correction. Raises InputError where they lack what it names."""
         raise NotImplementedError
 
-    def find(self, tracks: Tracks, frame: int | None = None) -> NDArray[np.bool_]:
+    def find(self, tracks: Tracks, frame: int | None = None) -> Flags:
         """The rows of the ball, or its row of one frame. Raises InputError where there are none."""
         rows = tracks.particle == self.ball
         rows &= frame is None or tracks.frame == frame
@@ -185,17 +185,17 @@ class TrackEdits:
         """The edits of one clip, each with its position in the file."""
         return [(k, edit) for k, edit in enumerate(self.edits) if edit.clip in (None, clip)]
 
-    def check_frames(self, clip: int, film: NDArray[np.int64]) -> None:
+    def check_frames(self, clip: int, film: Ints) -> None:
         """Raise InputError for an edit of a frame outside the film of its clip, before anything is tracked."""
         for k, edit in self.of_clip(clip):
             self._check_frame(k, getattr(edit, "frame", int(film[0])), film)
 
-    def _check_frame(self, k: int, frame: int, film: NDArray[np.int64]) -> None:
+    def _check_frame(self, k: int, frame: int, film: Ints) -> None:
         first, last = (int(film.min()), int(film.max())) if len(film) else (0, 0)
         if not first <= frame <= last:
             raise InputError(f"{self.where}: edits.{k}.frame: expected {first} to {last}, found {frame}")
 
-    def apply(self, tracks: Tracks, clip: int, film: NDArray[np.int64] | None = None) -> EditedTracks:
+    def apply(self, tracks: Tracks, clip: int, film: Ints | None = None) -> EditedTracks:
         """Apply the edits of one clip. Raises InputError for one that does not fit the tracks.
 
         film: numbers of its frames, to which positions may be added; None: from the first to the last of the tracks.

@@ -13,23 +13,23 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.gas.velocities import FreePath, HalfVelocities
 
-Floats = NDArray[np.float64]
 SINKS = {"contacts": "lost_in_contacts", "walls": "lost_at_walls", "plate": "lost_to_plate"}  # columns
 SINKS |= {"unresolved": "lost_unresolved"}
 
 
-def measure_energies(velocities: HalfVelocities, noise: float) -> tuple[Floats, Floats]:
+def measure_energies(velocities: HalfVelocities, noise: float) -> tuple[Array, Array]:
     """Measure the energies of the balls per unit mass (m^2/s^2), and their variances; noise: of a coordinate, m."""
     square, variance = velocities.square(noise)
     return square / 2, variance / 4
 
 
-def predict_losses(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float) -> tuple[Floats, Floats, Floats]:
+def predict_losses(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float) -> tuple[Array, Array, Array]:
     """Predict the energy that each contact takes, by its kick K and the velocities before it.
 
     Along the line of centres two balls lose K^2 (1 - r)/(1 + r). The median of all K/v_n of the film gives r. Across it
@@ -93,7 +93,7 @@ def _find_kept_share(contacts: pd.DataFrame, least: int) -> tuple[float, float]:
     return 6 / 7, 1 / 7
 
 
-def _lies_inside(contacts: pd.DataFrame) -> NDArray[np.bool_]:
+def _lies_inside(contacts: pd.DataFrame) -> Flags:
     """Decide which contacts lie inside the hull of all by more than 2 % of its smallest width."""
     out = np.zeros(len(contacts), dtype=bool)
     if "x" not in contacts:
@@ -111,7 +111,7 @@ def _lies_inside(contacts: pd.DataFrame) -> NDArray[np.bool_]:
 
 def measure_contact_losses(
     contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float, frame_s: float = 0.0
-) -> tuple[Floats, Floats, Floats]:
+) -> tuple[Array, Array, Array]:
     """Energy that both balls lose in each contact (n,), its variance, and the effects (n, 2) of errors that all share.
 
     Contacts with an energy_lost and no misfit keep it. Others have the difference of the free paths, continued to the
@@ -151,7 +151,7 @@ def measure_contact_losses(
     return lost, spread, common
 
 
-def _is_mixed(contacts: pd.DataFrame, frame_s: float) -> NDArray[np.bool_]:
+def _is_mixed(contacts: pd.DataFrame, frame_s: float) -> Flags:
     """Decide which contacts are so near another one of the same ball that the kicks of both are one kink."""
     out, time = np.zeros(len(contacts), dtype=bool), contacts["t_s"].to_numpy(dtype=np.float64)
     balls = contacts[["particle1", "particle2"]].to_numpy()
@@ -169,11 +169,11 @@ class _Step(NamedTuple):
     row: int  # of the frames, at the end
     loss: float
     variance: float
-    contacts: NDArray[np.int64]
+    contacts: Ints
     whole: bool  # whether it begins and ends with a contact
 
 
-def _find_resolved(steps: Sequence[_Step], taken: Floats, bodies: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _find_resolved(steps: Sequence[_Step], taken: Array, bodies: Ints) -> Flags:
     """Decide which contacts are resolved: their losses are known, and so are the steps of all their balls.
 
     Otherwise what one ball gives to another would count as lost. bodies: balls of each contact.
@@ -191,7 +191,7 @@ def _find_resolved(steps: Sequence[_Step], taken: Floats, bodies: NDArray[np.int
 
 
 def measure_losses(
-    paths: Sequence[FreePath], contacts: pd.DataFrame, frames: NDArray[np.int64], noise: float, frame_s: float = 0.0
+    paths: Sequence[FreePath], contacts: pd.DataFrame, frames: Ints, noise: float, frame_s: float = 0.0
 ) -> pd.DataFrame:
     """Energy of the balls in view at each frame, and what they lost since they came into view, by sink.
 
@@ -209,7 +209,7 @@ def measure_losses(
     lost = {name: _Sums(len(frames)) for name in SINKS}
     taken, variances, common = measure_contact_losses(contacts, paths, noise, frame_s)
     balls, at = contacts[["particle1", "particle2"]].to_numpy(), contacts["t_s"].to_numpy(dtype=np.float64)
-    in_view: dict[int, list[tuple[NDArray[np.int64], Floats, Floats]]] = {}  # by ball: rows of frames, energy, variance
+    in_view: dict[int, list[tuple[Ints, Array, Array]]] = {}  # by ball: rows of frames, energy, variance
     before: dict[int, tuple[FreePath, float, float]] = {}  # by ball: its last path, and its energy at its last frame
     steps = list[_Step]()
     for path in sorted(paths, key=lambda path: (path.ball, path.start_time)):
@@ -265,7 +265,7 @@ def _tabulate(seen: _Sums, smoothed: _Sums, lost: Mapping[str, _Sums], hidden: M
     return pd.DataFrame(columns)
 
 
-def _add_held(sums: _Sums, rows: NDArray[np.int64], value: Floats, variance: Floats) -> None:
+def _add_held(sums: _Sums, rows: Ints, value: Array, variance: Array) -> None:
     """Add the energy of one ball; where it has no velocity, its last known energy, which may have changed since."""
     at = np.flatnonzero(np.isfinite(value))
     if not len(at):

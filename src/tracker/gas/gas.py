@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from tracker.gas.energy import SINKS, measure_losses
 from tracker.gas.kinetic_theory import contact_rate, mean_free_path
@@ -25,7 +25,6 @@ from tracker.gas.velocities import FreePath, PathCuts, cut_free_paths, extrapola
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import measure_path_noise as measure_scatter_of_paths
 
-Floats = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]
 
 
@@ -160,7 +159,7 @@ def _add_camera_errors(
     return time, values | {f"{k}_std": float(np.hypot(values[f"{k}_std"], e * values[k])) for k, e in errors.items()}
 
 
-def _find_margins(contacts: pd.DataFrame, balls: Sequence[BallTrack], most: float) -> Floats:
+def _find_margins(contacts: pd.DataFrame, balls: Sequence[BallTrack], most: float) -> Array:
     """How near to each contact positions do not count, s: half an exposure and twice the error of its time."""
     if "t_s_std" not in contacts:
         return np.full(len(contacts), most)
@@ -192,7 +191,7 @@ def _predict_rates(time: pd.DataFrame, sides: tuple[float, float], camera: GasCa
     """
     seen = (time["balls"] + time["unknown"]).to_numpy()
 
-    def predict(length: float, rate: float, body: float, hotter: float) -> Floats:
+    def predict(length: float, rate: float, body: float, hotter: float) -> Array:
         d = camera.diameter * body
         temperature = np.maximum(time["temperature"], 0.0) + hotter * time["temperature_std"].fillna(0.0)
         density = seen / ((sides[0] * length + d) * (sides[1] * length + d))

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Floats = NDArray[np.float64]
+from synthcam_shared.arrays import Array
+
 TIME_BLOCKS = 20  # of time, whose scatter gives the errors
 
 
 def pair_correlation(
-    positions: list[Floats], size: tuple[float, float], reach: float, bins: int = 60, least: float = 0.0
+    positions: list[Array], size: tuple[float, float], reach: float, bins: int = 60, least: float = 0.0
 ) -> pd.DataFrame:
     """Measure the pair correlation of many snapshots; the result has columns r (m), g, g_std.
 
@@ -40,12 +40,12 @@ def pair_correlation(
     return pd.DataFrame({"r": middle, "g": found.sum(axis=0) / expected.sum(axis=0), "g_std": scatter})
 
 
-def _count_pairs(xy: Floats, edges: Floats) -> Floats:
+def _count_pairs(xy: Array, edges: Array) -> Array:
     """Count the pairs of points whose distance lies between each two edges."""
     near = cKDTree(xy).query_pairs(edges[-1], output_type="ndarray")
     return np.histogram(np.hypot(*(xy[near[:, 0]] - xy[near[:, 1]]).T), edges)[0].astype(np.float64)
 
 
-def _share_within(r: Floats, a: float, b: float) -> Floats:
+def _share_within(r: Array, a: float, b: float) -> Array:
     """Share of the pairs of independent points in a rectangle whose distance is at most r, r up to the shorter side."""
     return (np.pi * r**2 * a * b - 4 * (a + b) * r**3 / 3 + r**4 / 2) / (a * b) ** 2

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.gas.velocities import FreePath, HalfVelocities
 
-Floats = NDArray[np.float64]
 HALVES = ("even_x", "even_y", "odd_x", "odd_y")
 MIN_BALLS = 3  # in a frame, for a temperature about the mean velocity
 MIN_SIGNIFICANCE = 5.0  # of a temperature in its errors, for the shape of the distribution in that frame
@@ -82,7 +81,7 @@ def measure_temperatures(table: pd.DataFrame, noise: float) -> pd.DataFrame:
     return result[result["balls"] >= MIN_BALLS].reset_index()
 
 
-def _products(table: pd.DataFrame, noise: float) -> tuple[Floats, Floats]:
+def _products(table: pd.DataFrame, noise: float) -> tuple[Array, Array]:
     """Squares of the velocities about the mean of their frame, and their variances."""
     group = table.groupby("frame")
     about = {name: (table[name] - group[name].transform("mean")).to_numpy() for name in HALVES}
@@ -97,7 +96,7 @@ def _significant(table: pd.DataFrame, temperatures: pd.DataFrame) -> pd.DataFram
     return table.merge(temperatures[known], on="frame")
 
 
-def _jackknife(sums: Floats, counts: Floats) -> Floats:
+def _jackknife(sums: Array, counts: Array) -> Array:
     """Standard error of a ratio of sums over balls, which leaves out one ball at a time; (balls, ...) and (balls,)."""
     k = len(counts)
     without = ((sums.sum(axis=0) - sums).T / (counts.sum() - counts)).T

@@ -13,12 +13,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.positions import BallTrack
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
 USUAL_FRICTION = 2.0  # m/s^2, deceleration of a ball that slides
 ROWS_OF_SLIDE = 4  # before the end of the slide, from which its friction is found
 
@@ -37,24 +35,24 @@ class HalfVelocities:
         1/s^2: the part of both that is the same error; 0 where the halves are independent.
     """
 
-    even: Floats
-    odd: Floats
-    gain_even: Floats
-    gain_odd: Floats
-    gain_common: Floats
+    even: Array
+    odd: Array
+    gain_even: Array
+    gain_odd: Array
+    gain_common: Array
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Flags:
         """(n,) Where there is a velocity."""
         return np.isfinite(self.even[:, 0])
 
-    def square(self, noise: float) -> tuple[Floats, Floats]:
+    def square(self, noise: float) -> tuple[Array, Array]:
         """Estimate the squares of the velocities (n,), m^2/s^2, and their variances; noise: of a coordinate, m."""
         even, odd, common = (noise**2 * gain for gain in (self.gain_even, self.gain_odd, self.gain_common))
         product = (self.even * self.odd).sum(axis=1) - 2 * common
         return product, np.maximum(product, 0) * (even + odd + 2 * common) + 2 * (even * odd + common**2)
 
-    def take(self, rows: NDArray[np.bool_] | Rows | slice) -> HalfVelocities:
+    def take(self, rows: Flags | Ints | slice) -> HalfVelocities:
         """Those instants."""
         return HalfVelocities(*(getattr(self, one.name)[rows] for one in fields(self)))
 
@@ -66,7 +64,7 @@ class HalfVelocities:
 
 
 def fit_velocities(
-    time: Floats, position: Floats, at: Floats, window_rows: int, slide_end: float = np.nan
+    time: Array, position: Array, at: Array, window_rows: int, slide_end: float = np.nan
 ) -> HalfVelocities:
     """Fit velocities at the instants `at` (m,) to the nearest rows of one free path.
 
@@ -88,13 +86,13 @@ def fit_velocities(
     return result
 
 
-def _choose_rows(time: Floats, at: Floats, rows: int) -> Rows:
+def _choose_rows(time: Array, at: Array, rows: int) -> Ints:
     """The `rows` consecutive rows whose mean time is nearest to each instant, (m, rows)."""
     first = _nearest(np.lib.stride_tricks.sliding_window_view(time, rows).mean(axis=1), at)
     return np.asarray(first[:, None] + np.arange(rows))
 
 
-def _fit_windows(time: Floats, position: Floats, at: Floats, window_rows: int, slide_end: float) -> HalfVelocities:
+def _fit_windows(time: Array, position: Array, at: Array, window_rows: int, slide_end: float) -> HalfVelocities:
     """Estimate velocities by `fit_velocities`, with a change of the acceleration at `slide_end` unless that is NaN."""
     min_rows_of_halves = 8  # of a window, from which each half has a parabola with an error
     min_rows_of_parabola = 4  # from which all rows together have one; fewer have a straight line
@@ -113,7 +111,7 @@ def _fit_windows(time: Floats, position: Floats, at: Floats, window_rows: int, s
     return HalfVelocities(one, one.copy(), gain, gain.copy(), gain.copy())
 
 
-def _nearest(ascending: Floats, at: Floats) -> Rows:
+def _nearest(ascending: Array, at: Array) -> Ints:
     """Index of the nearest of ascending values, for each of `at`."""
     if len(ascending) == 1:
         return np.zeros(len(at), dtype=np.int64)
@@ -121,7 +119,7 @@ def _nearest(ascending: Floats, at: Floats) -> Rows:
     return np.asarray(after - (at - ascending[after - 1] < ascending[after] - at))
 
 
-def _slope(since: Floats, position: Floats, terms: int, change: Floats | None = None) -> tuple[Floats, Floats]:
+def _slope(since: Array, position: Array, terms: int, change: Array | None = None) -> tuple[Array, Array]:
     """Fit polynomials of `terms` coefficients to (m, k) times and (m, k, 2) positions: slopes at time 0, and gains.
 
     change: (m,) times at which the second derivative changes.
@@ -137,7 +135,7 @@ def _slope(since: Floats, position: Floats, terms: int, change: Floats | None = 
     return coefficients[:, 1] / scale, inverse[:, 1, 1] / scale[:, 0] ** 2
 
 
-def find_slide_end(time: Floats, position: Floats, noise: float) -> float:
+def find_slide_end(time: Array, position: Array, noise: float) -> float:
     """Find the end of a slide between contacts, where a ball's acceleration changes; NaN if nowhere.
 
     Two parabolas with the same value and slope where they meet are compared with one; noise: of a coordinate, m.
@@ -169,7 +167,7 @@ class FreePath:
     frame, time : (n,) array
         Of its positions, s.
     start, end : int
-        Rows of the table of contacts before and after it; -1 where the track starts or ends, or has a gap.
+        Ints of the table of contacts before and after it; -1 where the track starts or ends, or has a gap.
     velocities : HalfVelocities
         At the n positions, at its start, and at its end: n + 2 instants.
     start_time, end_time : float
@@ -179,14 +177,14 @@ class FreePath:
     """
 
     ball: int
-    frame: Rows
-    time: Floats
+    frame: Ints
+    time: Array
     start: int
     end: int
     start_time: float
     end_time: float
     velocities: HalfVelocities
-    unsure: Floats
+    unsure: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +192,7 @@ class PathCuts:
     """How tracks are cut into free paths, and how velocities are estimated on these."""
 
     window_rows: int  # of a velocity
-    margins_s: Floats  # of each contact: positions nearer to it do not count in a velocity
+    margins_s: Array  # of each contact: positions nearer to it do not count in a velocity
     max_gap_s: float  # a ball that was not seen for longer starts a new path
     noise: float  # of a coordinate, m
     slides: bool  # whether balls slide after a contact, as on a plate
@@ -222,9 +220,7 @@ def cut_free_paths(balls: Sequence[BallTrack], contacts: pd.DataFrame, cuts: Pat
     return paths
 
 
-def _fit_path(
-    ball: BallTrack, rows: Rows, ends: tuple[int, int], at: Floats, breaks: Floats, cuts: PathCuts
-) -> FreePath:
+def _fit_path(ball: BallTrack, rows: Ints, ends: tuple[int, int], at: Array, breaks: Array, cuts: PathCuts) -> FreePath:
     """Estimate the velocities of one path, whose contacts are the rows `ends` of all, which happen `at` these times."""
     time = ball.time[rows]
     first, last = (float(at[k]) if k >= 0 else float(edge) for k, edge in zip(ends, time[[0, -1]], strict=True))
@@ -249,7 +245,7 @@ def _fit_path(
     return FreePath(ball.particle, ball.frame[rows], time, *ends, first, last, velocities, unsure)
 
 
-def extrapolate_to_contact(ball: BallTrack, breaks: Floats, at: float, later: bool) -> tuple[Floats, bool]:
+def extrapolate_to_contact(ball: BallTrack, breaks: Array, at: float, later: bool) -> tuple[Array, bool]:
     """Find a ball's position at one of its contacts, by its path beyond it, and whether two positions show that path.
 
     breaks: times of all its contacts, s. later: whether that path comes after the contact.

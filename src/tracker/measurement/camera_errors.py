@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.camera.camera import Camera, LampSettings
 from tracker.camera.views import perturb_view, scale_at
 from tracker.camera.warp import Warp
@@ -27,7 +27,6 @@ from tracker.measurement.collision.lasting_contact import LastingFit, LastingRes
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
 from tracker.measurement.positions import BallTrack
 
-Floats = NDArray[np.float64]
 DERIVATIVE_STEP = 1e-3  # of a standard error, for derivatives: t_c must not leave the exposure in which it lies
 
 
@@ -69,7 +68,7 @@ class ViewError(CameraError):
     """One of the independent errors of the camera's view; `share` is its effect on the scale."""
 
     camera: Camera
-    change: Floats
+    change: Array
 
     @staticmethod
     def of(camera: Camera, number: int) -> ViewError:
@@ -91,7 +90,7 @@ class LampError(CameraError):
     """The error of a coordinate of the lamp, which converts glints to centres; `share` is its effect on the scale."""
 
     camera: Camera
-    step: Floats
+    step: Array
 
     @staticmethod
     def of(camera: Camera, lamp: LampSettings, axis: int) -> LampError:
@@ -103,7 +102,7 @@ class LampError(CameraError):
         larger = float(np.sqrt(abs(np.linalg.det(other[1:] - other[0])))) / side
         return replace(error, share=(larger - 1) / DERIVATIVE_STEP)
 
-    def centres(self, given: Floats, by: float) -> Floats:
+    def centres(self, given: Array, by: float) -> Array:
         """Balls (n, 2) whose glints by the other lamp lie at those of balls at `given` by the given lamp."""
         lamp = self.camera.lamp
         assert lamp is not None
@@ -128,7 +127,7 @@ class WarpError(CameraError):
         rms = float(np.sqrt(np.mean(warp.errors[number] ** 2)))
         return WarpError(f"warp.errors[{number}]", rms, 0.0, warp.error_maps[number])
 
-    def shift(self, position: Floats) -> Floats:
+    def shift(self, position: Array) -> Array:
         """Displacements (n, 2) of positions by one standard error, m."""
         return self.map.displace(position)[0]
 
@@ -162,7 +161,7 @@ def add_camera_errors(fit: CollisionFit, values: DerivedValues, camera: Camera) 
         return fit, values
     shift, _, explained = _shift_fit(fit, errors, camera)
 
-    def changed(error: CameraError, by: float) -> Floats:
+    def changed(error: CameraError, by: float) -> Array:
         at = fit.parameters + by * shift[:, errors.index(error)]
         return derive_values(fit, at, error.diameter(diameter, by), shift)
 
@@ -181,12 +180,12 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
         fit: LastingFit = getattr(fits, name)
         residual, rows = fit.problem(fit.x)
 
-        def moved(error: CameraError, by: float, fit: LastingFit = fit) -> Floats:
+        def moved(error: CameraError, by: float, fit: LastingFit = fit) -> Array:
             return LastingResiduals(error.pair(fits.pair, by, camera.fps), fit.problem.kind).residual(fit.x)
 
         shift, _, explained = linear_response(residual, rows, fit.cov, differentiate_by_camera(errors, moved))
 
-        def values(error: CameraError, by: float, fit: LastingFit = fit, shift: Floats = shift) -> Floats:
+        def values(error: CameraError, by: float, fit: LastingFit = fit, shift: Array = shift) -> Array:
             problem = LastingResiduals(error.pair(fits.pair, by, camera.fps), fit.problem.kind)
             moved = replace(fit, problem=problem, x=fit.x + by * shift[:, errors.index(error)])
             return np.append(moved.values().value, moved.times(moved.x).sum())
@@ -218,7 +217,7 @@ def add_contact_errors(
     unit = CameraError("ball_diameter", camera.ball_diameter, -nearer / fit.pair.diameter)
     shift = _shift_fit(fit, [unit], camera)[0][:, 0]
 
-    def changed(_: CameraError, by: float) -> Floats:
+    def changed(_: CameraError, by: float) -> Array:
         return derive_values(fit, fit.parameters + by * shift, fit.pair.diameter)
 
     effect = np.nan_to_num(differentiate_by_camera([unit], changed)[:, 0])
@@ -241,7 +240,7 @@ def measure_contact_distance(fit: CollisionFit, camera: Camera) -> tuple[float, 
     return 1 + off * unit.share, float(np.linalg.norm([unit.share * np.sqrt(max(worse, 1.0) / square), *known]))
 
 
-def _shift_fit(fit: CollisionFit, errors: Sequence[CameraError], camera: Camera) -> tuple[Floats, Floats, float]:
+def _shift_fit(fit: CollisionFit, errors: Sequence[CameraError], camera: Camera) -> tuple[Array, Array, float]:
     """The `linear_response` of all parameters of a fit to errors of the camera."""
     problem, residual, rows, cov = fit.linearise()
     shift, left, explained = linear_response(residual, rows, cov, differentiate_residuals(fit, errors, camera))
@@ -250,17 +249,17 @@ def _shift_fit(fit: CollisionFit, errors: Sequence[CameraError], camera: Camera)
     return every, left, explained
 
 
-def differentiate_residuals(fit: CollisionFit, errors: Sequence[CameraError], camera: Camera) -> Floats:
+def differentiate_residuals(fit: CollisionFit, errors: Sequence[CameraError], camera: Camera) -> Array:
     """Differentiate the whitened residuals of a fit by the errors of the camera file, per standard error: (m, k)."""
 
-    def moved(error: CameraError, by: float) -> Floats:
+    def moved(error: CameraError, by: float) -> Array:
         problem = WhitenedResiduals(error.pair(fit.pair, by, camera.fps), fit.is_tied)
         return problem.residual(fit.parameters[problem.index])
 
     return differentiate_by_camera(errors, moved)
 
 
-def differentiate_by_camera(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
+def differentiate_by_camera(errors: Sequence[CameraError], function: Callable[[CameraError, float], Array]) -> Array:
     """Differentiate m values by each of k keys of the camera, per standard error: (m, k).
 
     function(error, by) gives the m values for a key that is larger by `by` of its standard errors.
@@ -270,7 +269,7 @@ def differentiate_by_camera(errors: Sequence[CameraError], function: Callable[[C
     ).T
 
 
-def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> tuple[Floats, Floats, float]:
+def linear_response(residual: Array, rows: Array, cov: Array, by: Array) -> tuple[Array, Array, float]:
     """Compute how errors of the camera file, as disturbances of size 1, shift a least-squares fit to first order.
 
     Parameters
@@ -295,7 +294,7 @@ def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> 
     return shift, left, float(pull @ np.linalg.solve(np.eye(by.shape[1]) + left.T @ left, pull))
 
 
-def effects_to_json(camera: Camera, blocks: dict[str, Floats]) -> dict[str, Any]:
+def effects_to_json(camera: Camera, blocks: dict[str, Array]) -> dict[str, Any]:
     """Write the effects of camera errors as the entry "shared" of `cov` in estimates.parquet; see docs/format.md.
 
     blocks: by fit, the effect of one standard error of each of the camera's k keys on its n quantities, (n, k).
@@ -307,14 +306,14 @@ def effects_to_json(camera: Camera, blocks: dict[str, Floats]) -> dict[str, Any]
     }
 
 
-def shared_effects(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floats:
+def shared_effects(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Array:
     """Collect the effects of camera errors that several rows of estimates.parquet share: (rows, names, errors).
 
     They are per standard error, and 0 in rows that do not have that error. Rows share an error where the file's value
     is the same to the last digit. The fit that a column `fit` names, else the first of `fits` that is in a row's `cov`,
     gives its effects. Local estimates also share the bias and the mass ratio of their set.
     """
-    found: dict[tuple[str, float], dict[int, Floats]] = {}
+    found: dict[tuple[str, float], dict[int, Array]] = {}
     columns = (rows.get(name, [""] * len(rows)) for name in ("cov", "local_shared", "fit"))
     for i, (cov, local, fit) in enumerate(zip(*columns, strict=True)):
         given = json.loads(local) if fit == "local" and isinstance(local, str) and local else {}
@@ -340,14 +339,14 @@ def _list_shared(cov: Any, fits: Sequence[str]) -> Iterator[tuple[str, float, di
             yield key, block["of"], dict(zip(table["names"], effects, strict=True))
 
 
-def covariance_of_shared(effects: Floats) -> Floats:
+def covariance_of_shared(effects: Array) -> Array:
     """Convert effects of camera errors (..., names, errors) to the covariance (..., names, names) that clips share."""
     part = effects @ np.swapaxes(effects, -1, -2)
     # an effect is known to 3 %: clips must not determine the error of the camera from less
     return np.asarray(part * (1 - 0.03**2 * np.eye(part.shape[-1])))
 
 
-def remove_shared(std: Floats, effects: Floats) -> Floats:
+def remove_shared(std: Array, effects: Array) -> Array:
     """Remove from standard errors (n,) of one quantity the effects of camera errors that several rows share."""
     least = float(np.finfo(float).tiny)
     return np.asarray(np.sqrt(np.maximum(std**2 - covariance_of_shared(effects)[:, 0, 0], least)))

@@ -20,8 +20,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.camera_json import BODIES
@@ -90,7 +90,6 @@ from tracker.settings import FitSettings
 
 __all__ = ["fit_all_jointly", "fit_collision", "make_motion_table", "measure", "select_claims"]
 
-Floats = NDArray[np.float64]
 
 # Largest standard errors that are reported of quantities that may be zero, in their own units; see `largest_error`.
 _LARGEST_ERRORS = {"b": 0.05, "t_c": np.inf, "s": 0.1, "r": 0.05, "C": 0.05, "final_angle": 0.1}
@@ -493,7 +492,7 @@ def select_claims(read: CollisionFits) -> tuple[DerivedValues, DerivedValues]:
     return tied, free if is_trusted else free.without_errors(QUANTITY_NAMES)
 
 
-def largest_error(name: str, value: Floats, is_free: bool, max_relative_error: float = 0.2) -> Floats:
+def largest_error(name: str, value: Array, is_free: bool, max_relative_error: float = 0.2) -> Array:
     """Find the largest standard error with which a quantity is reported.
 
     Quantities that may be zero have limits in their own units, spins have none, and all others have
@@ -556,7 +555,7 @@ def make_empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any
     return row | {"chi2_free": np.nan, "dof_free": 0, "dropped_free": 0}
 
 
-def _covariances_to_json(blocks: dict[str, Floats], names: tuple[str, ...], shared: dict[str, Any]) -> str:
+def _covariances_to_json(blocks: dict[str, Array], names: tuple[str, ...], shared: dict[str, Any]) -> str:
     """Covariances by fit as JSON, in the order of `names`.
 
     Seven digits keep a matrix positive definite. Errors of the camera file need all digits, because they may be far

@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from synthcam_shared.arrays import Array
 from tracker.measurement.camera_errors import covariance_of_shared, remove_shared, shared_effects
 from tracker.measurement.collision.collision_model import GRAVITY, SLIP_RATE
 from tracker.measurement.collision.least_squares import covariance
 from tracker.measurement.random_effects import fit_random_effects
 
-Floats = NDArray[np.float64]
 SHARED = ("r", "mu_k", "C")
 OBSERVED = ("v1f", "v2f", "tau1", "tau2")
 GIVEN = ("v0", "b")
@@ -47,7 +46,7 @@ def fit_all_jointly(estimates: pd.DataFrame) -> dict[str, Any]:
     return {"clips": len(ok), "chi2": _paper_chi2(ok), "scatter": scatter, "rolling": _rolling(roll)}
 
 
-def predict_quantities(v0: Floats, b: Floats, shared: Floats) -> Floats:
+def predict_quantities(v0: Array, b: Array, shared: Array) -> Array:
     """Predict v1f, v2f, tau1, tau2, (n, 4), for the joint fit, from v0 and b/2R (n,); shared = (r, mu_k, C).
 
     These are the paper's F, G, H, I (eqs 1-4) for any b. The normal part is scaled by sqrt(1 - b^2), and the tangential
@@ -86,7 +85,7 @@ def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
     for _ in range(3):  # the errors of v0 and b count too, and how much depends on r, mu_k, C
         whiten = _whiten(weights, v0, b, start[:3])
 
-        def residual(p: Floats, whiten: Floats = whiten) -> Floats:
+        def residual(p: Array, whiten: Array = whiten) -> Array:
             off = common @ p[3:]
             model = predict_quantities(v0 - off[:, 4], np.clip(b - off[:, 5], -steepest, steepest), p[:3])
             return np.append(np.matmul(whiten, (model - seen + off[:, :4])[..., None]).ravel(), p[3:])
@@ -107,7 +106,7 @@ def _root(square: float) -> float:
     return float(np.sqrt(max(square, 0.0)))
 
 
-def _read_covariance(row: pd.Series, names: Sequence[str], *fits: str) -> Floats | None:
+def _read_covariance(row: pd.Series, names: Sequence[str], *fits: str) -> Array | None:
     """Covariance of these quantities in one clip, from the first of `fits` that its column `cov` has."""
     table = json.loads(row["cov"]) if isinstance(row.get("cov"), str) else {}
     block = next((table[fit] for fit in fits if fit in table), None)
@@ -117,7 +116,7 @@ def _read_covariance(row: pd.Series, names: Sequence[str], *fits: str) -> Floats
     return np.array(block, dtype=np.float64)[np.ix_(pick, pick)]
 
 
-def _positive(cov: Floats) -> bool:
+def _positive(cov: Array) -> bool:
     """Test whether a matrix is positive definite beyond rounding."""
     if not np.isfinite(cov).all() or not (np.diag(cov) > 0).all():
         return False
@@ -125,7 +124,7 @@ def _positive(cov: Floats) -> bool:
     return bool(np.linalg.eigvalsh(cov / np.outer(size, size))[0] > MIN_EIGENVALUE)
 
 
-def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
+def _whiten(covs: Array, v0: Array, b: Array, shared: Array) -> Array:
     """(n, 4, 4) that turn seen - predicted into units of its own error, that of v0 and b included."""
     n = len(v0)
     slope = np.zeros((n, 4, 6))

@@ -6,15 +6,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.camera.camera import Camera
 from tracker.measurement.camera_errors import camera_errors, differentiate_by_camera, effects_to_json, linear_response
 from tracker.measurement.collision.collision_model import SHORTEST_EXPOSURE, roll_freely
 from tracker.measurement.collision.least_squares import BROAD_PRIORS, covariance, find_best_minimum
 from tracker.measurement.positions import BallTrack
 
-Floats = NDArray[np.float64]
 MIN_SPEED_SIGMA = 5.0  # from which on a ball surely moves
 PARAMETERS = ("x", "y", "heading", "v0", "drag", "decel")
 
@@ -24,8 +23,8 @@ class LoneBallFit:
     """Fit of one rolling ball: PARAMETERS at the first frame it is seen in, covariance (6, 6), chi^2."""
 
     track: BallTrack
-    parameters: Floats
-    cov: Floats
+    parameters: Array
+    cov: Array
     chi2: float
     dof: int
 
@@ -49,13 +48,13 @@ class _Rolling:
         self.edges = np.concatenate([start, start + self.exposure])
         self.prior = [BROAD_PRIORS.get(name, (0.0, np.inf)) for name in PARAMETERS]
 
-    def _model(self, x: Floats) -> tuple[Floats, Floats]:
+    def _model(self, x: Array) -> tuple[Array, Array]:
         d = np.array([np.cos(x[2]), np.sin(x[2])])
         across = np.array([-d[1], d[0]])
         roll = roll_freely(float(x[3]), float(x[4]), float(x[5]), self.edges)
         n = len(self.position)
 
-        def mean(area: Floats) -> Floats:
+        def mean(area: Array) -> Array:
             return (area[n:] - area[:n]) / self.exposure
 
         position = x[:2] + mean(roll.area)[:, None] * d
@@ -66,11 +65,11 @@ class _Rolling:
             slope[:, :, i] = mean(part)[:, None] * d
         return position, slope
 
-    def residual(self, x: Floats) -> Floats:
+    def residual(self, x: Array) -> Array:
         off = self.whiten(self._model(x)[0] - self.position)
         return np.concatenate([off, [(v - c) / w for v, (c, w) in zip(x, self.prior, strict=True)]])
 
-    def slope(self, x: Floats) -> Floats:
+    def slope(self, x: Array) -> Array:
         rows = self.whiten(np.moveaxis(self._model(x)[1], -1, 0)).T
         return np.concatenate([rows, np.diag([1 / w for _, w in self.prior])])
 

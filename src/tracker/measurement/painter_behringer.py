@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.camera_errors import camera_errors
@@ -26,7 +27,6 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES, cross, dot
 from tracker.measurement.collision.lasting_contact import LastingContact
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 
-Floats = NDArray[np.float64]
 BEFORE = ("u2ix", "u2iy", "side2i", "v1ix", "v1iy")  # columns of estimates: SPIN and TARGET of a tied motion
 COLUMNS = ("t_s", "particle", "vx", "vy", "energy", "p_along", "p_across")
 
@@ -138,7 +138,7 @@ def rolling_loss(
     return (float(-slope[0]), float(std[0])), (float(-slope[1]), float(std[1]))
 
 
-def _sample(track: BallTrack, contact: Contact, end: int | None) -> tuple[Floats, Floats]:
+def _sample(track: BallTrack, contact: Contact, end: int | None) -> tuple[Array, Array]:
     """Positions (7, 2) and covariances at the seven frames that are differenced; NaN where there is none."""
     first, last = contact.start, contact.end
     wanted = [first - 3, first - 1, contact.frame, last + 1, last + 3]
@@ -150,7 +150,7 @@ def _sample(track: BallTrack, contact: Contact, end: int | None) -> tuple[Floats
     return position, cov
 
 
-def _read(sample: Floats, taus: Floats, diameter: float, fps: float, moving: bool) -> Floats:
+def _read(sample: Array, taus: Array, diameter: float, fps: float, moving: bool) -> Array:
     """The quantities (k, 15) from positions (k, 2, 7, 2); moving: true if ball 1 moved before the hit."""
     before, after, final = ((sample[:, :, i] - sample[:, :, j]) * fps / 2 for i, j in ((1, 0), (4, 3), (6, 5)))
     apart = sample[:, 0, 2] - sample[:, 1, 2]
@@ -200,7 +200,7 @@ def make_motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) ->
     return pd.DataFrame(dict(zip(COLUMNS, whole, strict=True)))
 
 
-def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
+def slip_directions(row: Mapping[str, Any]) -> dict[int, Array]:
     """Find the direction of slip (2,) by particle just after the impact, to which momentum refers."""
     launch = [row.get(name, np.nan) for name in ("heading", "b", "v0", "r", "C")]
     if row.get("status") not in MEASURED or not np.all(np.isfinite(launch)):
@@ -213,7 +213,7 @@ def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
     return {particle: slip / max(float(np.hypot(*slip)), 1e-300) for particle, slip in slips.items()}
 
 
-def _differentiate_track(track: BallTrack, slip: Floats | None) -> list[NDArray[Any]]:
+def _differentiate_track(track: BallTrack, slip: Array | None) -> list[NDArray[Any]]:
     """The columns of one ball: velocities are differences between the neighbouring frames."""
     last = len(track) - 1
     ahead, behind = np.minimum(np.arange(last + 1) + 1, last), np.maximum(np.arange(last + 1) - 1, 0)

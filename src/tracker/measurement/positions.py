@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.glints import SHADED_POSITION_ERROR_RADII, PositionFlag
 from tracker.detection.link import Tracks
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
 from tracker.measurement.noise.whitening import PositionWhitener
 
-Floats = NDArray[np.float64]
 UNKNOWN_ERROR_PX = 0.1  # of a position, where a table gives no errors and is too short to show them
 
 
@@ -24,12 +24,12 @@ class BallTrack:
     """One ball's positions on the plate, by frame."""
 
     particle: int
-    frame: NDArray[np.int64]  # (n,)
-    start: Floats  # (n,) s, of the exposures
-    position: Floats  # (n, 2) m, mean over the exposure
-    cov: Floats  # (n, 2, 2) m^2
+    frame: Ints  # (n,)
+    start: Array  # (n,) s, of the exposures
+    position: Array  # (n, 2) m, mean over the exposure
+    cov: Array  # (n, 2, 2) m^2
     exposure: float  # s
-    fixed: Floats = field(default_factory=lambda: np.empty(0))  # the part of `cov` that a resting ball always has
+    fixed: Array = field(default_factory=lambda: np.empty(0))  # the part of `cov` that a resting ball always has
     width: float = 0.0  # of a glint, m
     # For balls that lie partly in their own shadow, and for video encoded with loss: a shift in `fixed` that lasts as a
     # ball moves on. Its rms along either axis, m, and the way over which it lasts, m.
@@ -51,12 +51,12 @@ class BallTrack:
         return len(self.frame)
 
     @property
-    def time(self) -> Floats:
+    def time(self) -> Array:
         """(n,) s, middle of each exposure."""
         return self.start + self.exposure / 2
 
     @property
-    def variance(self) -> Floats:
+    def variance(self) -> Array:
         """(n,) m^2, of a coordinate, the mean of both."""
         return np.asarray(np.trace(self.cov, axis1=1, axis2=2) / 2)
 
@@ -82,7 +82,7 @@ class BallTrack:
             error_scale=factor * self.error_scale,
         )
 
-    def where(self, rows: NDArray[np.bool_]) -> BallTrack:
+    def where(self, rows: Flags) -> BallTrack:
         """The same ball, only those rows."""
         if rows.all():
             return self
@@ -90,9 +90,7 @@ class BallTrack:
         return replace(self, **arrays)
 
 
-def measure_separation(
-    one: BallTrack, other: BallTrack
-) -> tuple[NDArray[np.int64], Floats, NDArray[Any], NDArray[Any]]:
+def measure_separation(one: BallTrack, other: BallTrack) -> tuple[Ints, Array, NDArray[Any], NDArray[Any]]:
     """Measure the distance of two balls, m, in all frames that show both: frames, distances, and the rows of either."""
     frames, mine, its = np.intersect1d(one.frame, other.frame, return_indices=True)
     return frames, np.hypot(*(one.position[mine] - other.position[its]).T), mine, its
@@ -154,7 +152,7 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
     return [replace(b, cov=b.cov + own, fixed=b.fixed + own, warp=(warp.std, warp.length)) for b in found]
 
 
-def _limit_drift(drift: tuple[float, float], cov: Floats) -> tuple[float, float]:
+def _limit_drift(drift: tuple[float, float], cov: Array) -> tuple[float, float]:
     """A drift that leaves each position a share of its variance: the ball may look smaller than it is."""
     least = float(np.linalg.eigvalsh(cov)[:, 0].min())
     return min(drift[0], float(np.sqrt((1 - 1e-3) * least))), drift[1]

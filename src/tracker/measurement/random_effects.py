@@ -17,11 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import chdtrc, chdtri, ndtri, stdtr, stdtrit
 
-Floats = NDArray[np.float64]
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +50,12 @@ class RandomEffects:
         Share of each value in the fit of the mean; they add up to one.
     """
 
-    coefficients: Floats
-    std: Floats
-    low: Floats
-    high: Floats
-    shared_std: Floats
-    p_value: Floats
+    coefficients: Array
+    std: Array
+    low: Array
+    high: Array
+    shared_std: Array
+    p_value: Array
     scatter: float
     scatter_low: float
     scatter_high: float
@@ -67,30 +66,30 @@ class RandomEffects:
     i2: float
     birge: float
     factor: float
-    weights: Floats
+    weights: Array
 
 
 class GeneralisedQ:
     """Weighted least squares at any variance of the scatter."""
 
-    def __init__(self, value: Floats, variance: Floats, shared: Floats, design: Floats) -> None:
+    def __init__(self, value: Array, variance: Array, shared: Array, design: Array) -> None:
         self.value, self.variance, self.shared, self.design = value, variance, shared, design
 
-    def weigh(self, tau2: float, left: Floats, right: Floats) -> Floats:
+    def weigh(self, tau2: float, left: Array, right: Array) -> Array:
         """left' V^-1 right, with the covariance V of the values: own errors, scatter and shared errors."""
         w = 1 / (self.variance + tau2)
         inner = np.eye(self.shared.shape[1]) + (self.shared.T * w) @ self.shared
         pull = np.linalg.solve(inner, (self.shared.T * w) @ right)
         return np.asarray((left.T * w) @ right - (left.T * w) @ self.shared @ pull)
 
-    def fit(self, tau2: float) -> tuple[Floats, Floats, float]:
+    def fit(self, tau2: float) -> tuple[Array, Array, float]:
         """Coefficients, their covariance, and Q."""
         cov = np.asarray(np.linalg.inv(self.weigh(tau2, self.design, self.design)), dtype=np.float64)
         coefficients = cov @ self.weigh(tau2, self.design, self.value)
         off = self.value - self.design @ coefficients
         return coefficients, cov, float(self.weigh(tau2, off, off))
 
-    def find_weights(self, tau2: float) -> Floats:
+    def find_weights(self, tau2: float) -> Array:
         """The share of each value in the first coefficient."""
         pull = self.weigh(tau2, self.design, np.eye(len(self.value)))
         return np.asarray((self.fit(tau2)[1] @ pull)[0])
@@ -106,7 +105,7 @@ class GeneralisedQ:
 
 
 def fit_random_effects(
-    value: Floats, std: Floats, shared: Floats | None = None, design: Floats | None = None
+    value: Array, std: Array, shared: Array | None = None, design: Array | None = None
 ) -> RandomEffects:
     """Fit a random-effects mean, or a regression on the columns of a design.
 
@@ -160,7 +159,7 @@ def fit_random_effects(
     )
 
 
-def fit_means_without_each(value: Floats, std: Floats, shared: Floats) -> tuple[Floats, Floats, Floats]:
+def fit_means_without_each(value: Array, std: Array, shared: Array) -> tuple[Array, Array, Array]:
     """Compute the mean, its variance and that of the scatter, (n,) each, without each of n >= 3 values in turn."""
     n = len(value)
     found = np.empty((n, 3))

@@ -16,13 +16,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.positions import BallTrack, measure_separation
-
-Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -37,12 +34,12 @@ class StretchCutter:
     kink_sigma: float = 6.0  # standard errors by which the velocity changes at a contact
     rest_sigma: float = 5.0  # standard errors of a velocity within which a ball may rest
 
-    def is_beside(self, time: Floats, first: float, last: float, frame_s: float) -> NDArray[np.bool_]:
+    def is_beside(self, time: Array, first: float, last: float, frame_s: float) -> Flags:
         """Tell which positions (n,) are beside a contact that lasts from `first` to `last`, s."""
         margin = self.margin_frames * frame_s * (1 + 1e-9)
         return np.asarray((time >= first - margin) & (time <= last + margin))
 
-    def cut(self, time: Floats, frame: Rows, contacts: Floats, frame_s: float) -> Iterator[Rows]:
+    def cut(self, time: Array, frame: Ints, contacts: Array, frame_s: float) -> Iterator[Ints]:
         """Iterate over the rows of the stretches between contacts and gaps; positions beside contacts are left out."""
         free = np.ones(len(time), dtype=bool)
         for at in contacts:
@@ -52,7 +49,7 @@ class StretchCutter:
             if len(part) and free[part].all():
                 yield part
 
-    def find_touches(self, ball: BallTrack, balls: Sequence[BallTrack], diameter: float) -> Floats:
+    def find_touches(self, ball: BallTrack, balls: Sequence[BallTrack], diameter: float) -> Array:
         """Find the times at which another ball is so near that it may touch this one; diameter: m, or NaN."""
         found = [np.empty(0)]
         for other in balls if np.isfinite(diameter) else ():
@@ -63,7 +60,7 @@ class StretchCutter:
             found.append(ball.time[mine][apart < self.near_diameters * diameter + step])
         return np.concatenate(found)
 
-    def measure_kinks(self, time: Floats, position: Floats, noise: float) -> Floats:
+    def measure_kinks(self, time: Array, position: Array, noise: float) -> Array:
         """Measure the change of the velocity before each position (n,), over what friction and noise can make."""
         k, out = self.kink_positions, np.zeros(len(time))
         if len(time) < 2 * k or not np.isfinite(noise):
@@ -86,13 +83,13 @@ class StretchCutter:
         out[k : len(time) - k + 1] = change / limit
         return out
 
-    def find_kinks(self, time: Floats, changes: Floats) -> Floats:
+    def find_kinks(self, time: Array, changes: Array) -> Array:
         """Find the times of the kinks, from their sizes (n,)."""
         largest = maximum_filter1d(changes, 2 * self.kink_positions - 1) if len(changes) else changes
         at = np.flatnonzero((changes > 1) & (changes == largest))
         return np.asarray((time[at - 1] + time[at]) / 2)
 
-    def moves(self, time: Floats, position: Floats, noise: float) -> bool:
+    def moves(self, time: Array, position: Array, noise: float) -> bool:
         """Decide whether a ball moves, by a straight line through its positions."""
         since = time - time.mean()
         spread = float(since @ since)
@@ -102,7 +99,7 @@ class StretchCutter:
 CUTTER = StretchCutter()
 
 
-def measure_path_noise(paths: Iterable[tuple[Rows, Floats]]) -> float:
+def measure_path_noise(paths: Iterable[tuple[Ints, Array]]) -> float:
     """Measure the noise of paths, beside which a cut must stand out: from third differences, m; NaN without any.
 
     paths: frames (n,) and positions (n, 2) of each ball.

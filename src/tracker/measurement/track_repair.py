@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.notes import Note, NoteKind
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 NEAR_STEPS = 5  # steps on either side that show how fast a ball moves
 
 
@@ -133,7 +132,7 @@ def _cycles(found: NDArray[np.intp]) -> Iterator[list[int]]:
             yield cycle
 
 
-def find_unreachable_positions(tracks: Tracks, diameter: float) -> tuple[Ints, NDArray[np.bool_]]:
+def find_unreachable_positions(tracks: Tracks, diameter: float) -> tuple[Ints, Flags]:
     """Numbers of particles, new ones for paths far from a ball's own, and the rows of lost points."""
     min_path_positions, xy = 5, tracks.xy  # the former make a path of their own
     renumbered, gone = np.array(tracks.particle, dtype=np.int64), np.zeros(len(tracks), dtype=bool)
@@ -162,7 +161,7 @@ def find_unreachable_positions(tracks: Tracks, diameter: float) -> tuple[Ints, N
     return renumbered, gone
 
 
-def _is_near_another(tracks: Tracks, some: NDArray[np.bool_], diameter: float) -> NDArray[np.bool_]:
+def _is_near_another(tracks: Tracks, some: Flags, diameter: float) -> Flags:
     """True if those rows, or some of their run, lie where another ball was or will be within two frames."""
     rest = np.flatnonzero(~some)
     every = tracks.xy
@@ -184,7 +183,7 @@ def _is_near_another(tracks: Tracks, some: NDArray[np.bool_], diameter: float) -
     return np.isin(run, run[np.array(near, dtype=bool)])
 
 
-def _cut(frame: Ints, xy: Floats, diameter: float) -> list[Ints]:
+def _cut(frame: Ints, xy: Array, diameter: float) -> list[Ints]:
     """The rows of one track in pieces, between jumps longer than a ball can move by its speed before and after."""
     if len(frame) < 2:
         return [np.arange(len(frame))]
@@ -201,12 +200,12 @@ def _cut(frame: Ints, xy: Floats, diameter: float) -> list[Ints]:
     return np.split(np.arange(len(frame)), jumps)
 
 
-def _usual(speeds: Floats) -> float:
+def _usual(speeds: Array) -> float:
     """The speed of a ball by its steps on one side, of which some may be jumps: the second lowest, or lowest."""
     return float(np.sort(speeds)[1 if len(speeds) > 3 else 0]) if len(speeds) else 0.0
 
 
-def _longest_chain(pieces: list[Ints], frame: Ints, xy: Floats, diameter: float) -> list[int]:
+def _longest_chain(pieces: list[Ints], frame: Ints, xy: Array, diameter: float) -> list[int]:
     """The pieces, in order of time, each within reach of the one before, that have the most positions."""
 
     def speed(rows: Ints) -> float:

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import fdtrc
 
+from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.report.numbers import format_with_error
 from tracker.measurement.camera_errors import remove_shared
 from tracker.measurement.random_effects import GeneralisedQ, RandomEffects, fit_means_without_each, fit_random_effects
 
-Floats = NDArray[np.float64]
 WITHOUT_COLLISION = ("drag", "decel")  # that a ball alone shows too
 
 
@@ -73,7 +72,7 @@ class CombinedQuantity:
         return document | {"collisions": self.values.to_dict("records")}
 
 
-def combine_quantity(name: str, values: pd.DataFrame, effects: Floats) -> CombinedQuantity:
+def combine_quantity(name: str, values: pd.DataFrame, effects: Array) -> CombinedQuantity:
     """Combine the values of a quantity; fewer than four have no slope.
 
     values: result, clip, collision, fit, v_n, value, std of each collision. effects: (n, 1, k), of the errors of the
@@ -103,7 +102,7 @@ def combine_quantity(name: str, values: pd.DataFrame, effects: Floats) -> Combin
     return CombinedQuantity(name, values, mean, slope, middle, by_result, _compare(value, own, shared, groups))
 
 
-def _compare(value: Floats, std: Floats, shared: Floats, groups: Mapping[str, NDArray[np.bool_]]) -> float:
+def _compare(value: Array, std: Array, shared: Array, groups: Mapping[str, Flags]) -> float:
     """p-value of the differences between groups, by the F test of a regression on them."""
     parts, n = np.column_stack(list(groups.values())).astype(np.float64), len(value)
     k = parts.shape[1]

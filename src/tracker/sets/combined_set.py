@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from pyarrow import ArrowException
 
 from synthcam_shared.arguments import check_arguments
+from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.errors import InputError, first_line
 from synthcam_shared.report.numbers import format_with_error
 from synthcam_shared.settings import did_you_mean
@@ -38,7 +38,6 @@ from tracker.sets.combined_quantity import (
 from tracker.sets.set_page import write_set
 from tracker.tables.rows import make_tracks_table, to_csv
 
-Floats = NDArray[np.float64]
 SHARED_QUANTITIES = ("r", "s", "mu_k", "C", "drag", "decel")  # that collisions have in common
 
 
@@ -318,7 +317,7 @@ def _choose_quantities(table: pd.DataFrame, asked: Sequence[str] | None) -> list
     return list(dict.fromkeys(asked))
 
 
-def _by_fit(table: pd.DataFrame, name: str, end: str = "") -> Floats:
+def _by_fit(table: pd.DataFrame, name: str, end: str = "") -> Array:
     """A quantity of each row by its recommended fit, or with the end "_std" its standard error; NaN without them."""
     out = np.full(len(table), np.nan)
     for fit, suffix in SUFFIXES.items():
@@ -329,7 +328,7 @@ def _by_fit(table: pd.DataFrame, name: str, end: str = "") -> Floats:
     return out
 
 
-def _is_turned(table: pd.DataFrame) -> NDArray[np.bool_]:
+def _is_turned(table: pd.DataFrame) -> Flags:
     """Tell which rows (n,) give the mass of the second particle over that of the first, by their numbers."""
     turned = np.zeros(len(table), dtype=bool)
     if {"particle1", "particle2"} <= set(table):

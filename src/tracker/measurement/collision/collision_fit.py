@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.measurement.collision.adequacy import (
     HIDDEN_SLIDE,
     SHORT_SLIDE,
@@ -38,9 +38,6 @@ from tracker.measurement.collision.least_squares import ROUGH_TOLERANCE, BallPai
 from tracker.measurement.collision.noise_correlation import with_correlated_noise
 from tracker.measurement.collision.striker import is_believable_striker, list_alternative_strikers
 from tracker.settings import FitSettings
-
-Floats = NDArray[np.float64]
-
 
 ONCE_BOTH_ROLL = ("mu_k", "C", "energy_fraction", "momentum_fraction", "final_angle")  # known once both balls roll
 AFTER_SLIDES = (*ONCE_BOTH_ROLL, "tau1", "tau2", "v1f", "v2f", "drag", "decel", "w1n", "w1t", "w2n", "w2t")
@@ -240,7 +237,7 @@ def _is_too_bad(pair: BallPair, chi2: float, dof: int, least: float) -> bool:
     return chi2 / max(dof, 1) > least and p < pair.settings.rejection_level
 
 
-def _bound_chi2_of_sliding(pair: BallPair, start: Floats) -> tuple[float, int]:
+def _bound_chi2_of_sliding(pair: BallPair, start: Array) -> tuple[float, int]:
     """A lower bound on chi^2 of a tied fit whose striker slides, and that fit's degrees of freedom.
 
     It is the least chi^2 of the free motion, of which the tied motions are a part. From a bad start, a descent of the
@@ -310,7 +307,7 @@ def _is_same_minimum(one: CollisionFit, other: CollisionFit) -> bool:
     return is_alike and bool((abs(one.parameters - other.parameters) <= 0.01 * errors).all())
 
 
-def _fit_with_noise(contact: Contact, starts: list[Floats], tied: CollisionFit | None = None) -> CollisionFits | str:
+def _fit_with_noise(contact: Contact, starts: list[Array], tied: CollisionFit | None = None) -> CollisionFits | str:
     """Both fits, by errors as the tracks show them, in size and correlation; tied: that from the starts, if known."""
     read = _fit_both(contact, starts, tied)
     pair = None if isinstance(read, str) else with_correlated_noise(contact.pair, read.free)
@@ -319,7 +316,7 @@ def _fit_with_noise(contact: Contact, starts: list[Floats], tied: CollisionFit |
     return _fit_both(replace(contact, pair=pair), [*starts, read.tied.parameters])
 
 
-def _fit_both(contact: Contact, starts: list[Floats], tied: CollisionFit | None = None) -> CollisionFits | str:
+def _fit_both(contact: Contact, starts: list[Array], tied: CollisionFit | None = None) -> CollisionFits | str:
     """Tied and free fit by the errors that the positions have."""
     pair = contact.pair
     tied = tied or fit_motion(pair, True, starts)
@@ -393,7 +390,7 @@ def _fit_free(pair: BallPair, tied: CollisionFit, whole: bool = False) -> tuple[
     return best, (seen[0], seen[1])
 
 
-def _without_slide_end(free: Floats, ball: int, left: float) -> Floats:
+def _without_slide_end(free: Array, ball: int, left: float) -> Array:
     """The same start of a slide, but one that continues after the ball is last seen."""
     out, at = free.copy(), AFTER[ball]
     tau, longer = np.exp(free[at + 4]), 1.5 * left
@@ -402,7 +399,7 @@ def _without_slide_end(free: Floats, ball: int, left: float) -> Floats:
     return out
 
 
-def _free_to_tied(free: CollisionFit, tied: CollisionFit) -> Floats:
+def _free_to_tied(free: CollisionFit, tied: CollisionFit) -> Array:
     """Tied parameters nearest to a free motion: its launch, the r, mu_k and C it implies, the spin of another fit."""
     implied = dict(zip(QUANTITY_NAMES, derive_quantities(free).value, strict=True))
     impact = [np.clip(implied["r"], 0, 1), np.log(np.clip(implied["mu_k"], 1e-3, 10)), np.clip(implied["C"], -0.5, 1)]

@@ -29,7 +29,7 @@ from math import factorial
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from synthcam_shared.arrays import Array, Ints
 
 GRAVITY = 9.81  # m/s^2; only the product mu_k * g shows in a track
 SLIP_RATE = 3.5  # |u| falls at 7/2 mu g: friction slows a sphere by mu g and spins it up by 5/2 mu g
@@ -54,7 +54,7 @@ AFTER = {1: 8, 2: 13}  # where a ball's own five numbers begin in FREE
 # --- rolling ---
 
 
-def _phis(z: Floats) -> list[Floats]:
+def _phis(z: Array) -> list[Array]:
     """phi_k(z) = sum_j (-z)^j / (j + k)! for k = 0..4: exp(-z) with its first k terms divided out.
 
     A series where those terms would cancel, the recurrence phi_k = 1/k! - z phi_(k+1) elsewhere.
@@ -82,14 +82,14 @@ def _phis(z: Floats) -> list[Floats]:
 class RollingMotion:
     """A rolling ball after time t: distance, its integral, and the derivatives of that by speed, drag and decel."""
 
-    distance: Floats
-    area: Floats  # integral of `distance` from 0 to t
-    area_speed: Floats
-    area_drag: Floats
-    area_decel: Floats
+    distance: Array
+    area: Array  # integral of `distance` from 0 to t
+    area_speed: Array
+    area_drag: Array
+    area_decel: Array
 
 
-def roll_freely(speed: float | Floats, drag: float, decel: float, t: Floats) -> RollingMotion:
+def roll_freely(speed: float | Array, drag: float, decel: float, t: Array) -> RollingMotion:
     """Roll in the tracker's model under a = -(drag v + decel) until the ball stops; drag = 0 is no special case.
 
     speed at t = 0 in m/s, one or (n,); drag in 1/s; decel in m/s^2; times t (n,) in s, which may be negative.
@@ -113,7 +113,7 @@ def roll_freely(speed: float | Floats, drag: float, decel: float, t: Floats) -> 
     return RollingMotion(distance, area, area_speed, area_drag, area_decel)
 
 
-def compute_stopping_time(speed: float | Floats, drag: float, decel: float) -> Floats:
+def compute_stopping_time(speed: float | Array, drag: float, decel: float) -> Array:
     """Compute the time in which a = -(drag v + decel) stops a ball of the tracker's model; inf if it never does."""
     fast = np.asarray(speed, dtype=np.float64)
     if decel <= 0:
@@ -150,8 +150,8 @@ def _scalar_product(a: NDArray[np.inexact], b: NDArray[np.inexact]) -> NDArray[n
 
 
 def mean_positions(
-    free: Floats, ball: int | NDArray[np.int64], start: Floats, exposure: float, diameter: float
-) -> tuple[Floats, Floats]:
+    free: Array, ball: int | Ints, start: Array, exposure: float, diameter: float
+) -> tuple[Array, Array]:
     """Compute the positions that the collision model predicts, averaged over exposures, and their derivatives.
 
     An exposure that holds the impact or the end of a slide needs no care.
@@ -194,7 +194,7 @@ def mean_positions(
     return position, derivative.transpose(1, 2, 0)
 
 
-def _areas(free: Floats, second: NDArray[np.int64], since: Floats) -> tuple[Floats, Floats]:
+def _areas(free: Array, second: Ints, since: Array) -> tuple[Array, Array]:
     """Integral over time, from t_c, of the displacement since t_c; (n, 2) m s and derivatives (22, n, 2).
 
     second (n,): 1 for ball 2, else 0.
@@ -208,7 +208,7 @@ def _areas(free: Floats, second: NDArray[np.int64], since: Floats) -> tuple[Floa
     return area, slope
 
 
-def _approach(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floats, Floats]:
+def _approach(free: Array, second: Ints, s: Array) -> tuple[Array, Array]:
     """Balls rolling up to the contact, or ball 2 sliding up to it."""
     heading, v0, drag, decel = free[[3, 5, 6, 7]]
     d = np.array([np.cos(heading), np.sin(heading)])
@@ -230,7 +230,7 @@ def _approach(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Float
     return area, part
 
 
-def _sliding_approach(free: Floats, s: Floats) -> tuple[Floats, Floats]:
+def _sliding_approach(free: Array, s: Array) -> tuple[Array, Array]:
     """Ball 2 sliding up to the contact: friction keeps its direction, because slip does."""
     heading, v0, pull = free[3], free[5], free[_SLIDING : _SLIDING + 2]
     d = np.array([np.cos(heading), np.sin(heading)])
@@ -246,13 +246,13 @@ def _sliding_approach(free: Floats, s: Floats) -> tuple[Floats, Floats]:
     return square * v + cube * pull, part
 
 
-def _polar(velocities: Floats) -> tuple[Floats, Floats]:
+def _polar(velocities: Array) -> tuple[Array, Array]:
     """Speeds (k,) and directions (k, 2); of a ball at rest the direction is 0."""
     speed = np.hypot(velocities[:, 0], velocities[:, 1])
     return speed, velocities / np.maximum(speed, 1e-300)[:, None]
 
 
-def _by_velocity(roll: RollingMotion, speed: Floats, along: Floats) -> Floats:
+def _by_velocity(roll: RollingMotion, speed: Array, along: Array) -> Array:
     """d(area)/d(velocity), by its component (2, n, 2): a velocity that turns takes the rolled distance with it."""
     turn = roll.area / np.maximum(speed, 1e-300)
     x, y = along[:, 0], along[:, 1]
@@ -264,7 +264,7 @@ def _by_velocity(roll: RollingMotion, speed: Floats, along: Floats) -> Floats:
     return out
 
 
-def _departure(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floats, Floats]:
+def _departure(free: Array, second: Ints, s: Array) -> tuple[Array, Array]:
     """Balls sliding, then rolling, after the contact."""
     own = np.stack([free[at : at + 5] for at in (AFTER[1], AFTER[2])])
     speed, along = (x[second] for x in _polar(own[:, 2:4]))
@@ -342,7 +342,7 @@ def tied_to_free(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.ine
     return np.concatenate([*parts, pull, target], -1)
 
 
-def tied_to_free_jacobian(tied: Floats, spin: float = 0.0) -> Floats:
+def tied_to_free_jacobian(tied: Array, spin: float = 0.0) -> Array:
     """Differentiate the collision model: its free parameters by the tied ones, (22, 16), exact to rounding."""
     steps = tied + 1e-30j * np.eye(len(TIED))
     return np.asarray(tied_to_free(steps, spin).imag.T / 1e-30, dtype=np.float64)

@@ -8,15 +8,14 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
+from synthcam_shared.arrays import Array
 from tracker.measurement.collision.collision_model import AFTER, SPIN, TIED, compute_unit_vectors, tied_to_free
 from tracker.measurement.collision.least_squares import BallPair
 from tracker.measurement.positions import BallTrack, measure_separation
 from tracker.settings import FitSettings
 
-Floats = NDArray[np.float64]
 MAX_POSITIONS_OF_APPROACH = 6  # from which velocities before and after the contact are read
 
 
@@ -182,7 +181,7 @@ def prepare_contact(
     return _assign_roles(BallPair(balls[0], balls[1], diameter, spin=spin, settings=settings), candidate.frame)
 
 
-def fit_velocity(track: BallTrack) -> tuple[Floats, Floats, float]:
+def fit_velocity(track: BallTrack) -> tuple[Array, Array, float]:
     """Fit a straight line to one side of a contact of a clip: velocity (2,) m/s, position (2,) m, and error, m/s."""
     t = track.time - track.time.mean()
     spread = float((t**2).sum())
@@ -282,7 +281,7 @@ def _shorten_rest(track: BallTrack, frame: int) -> BallTrack:
     return track.where(keep)
 
 
-def guess_parameters(contact: Contact) -> list[Floats]:
+def guess_parameters(contact: Contact) -> list[Array]:
     """Guess tied parameters (16,) of a contact, the best first; none where the approach leads past the other ball.
 
     The launch comes from the approach alone: straight lines, and the time at which the balls are one diameter apart.
@@ -305,7 +304,7 @@ def guess_parameters(contact: Contact) -> list[Floats]:
     return list(ordered[np.sort(first)])
 
 
-def _rough_chi2(pair: BallPair, tied: Floats) -> Floats:
+def _rough_chi2(pair: BallPair, tied: Array) -> Array:
     """Sums (k,) of squared distances, in their errors, between the positions after the hit and the guesses (k, 16).
 
     Rough: instants for exposures, and a rolling ball loses speed evenly.

@@ -15,9 +15,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
+from synthcam_shared.arrays import Array, Ints
 from tracker.measurement.collision.collision_model import AFTER, FREE, SLIP_RATE, tied_to_free
 from tracker.measurement.collision.derived import (
     QUANTITY_NAMES,
@@ -27,8 +27,6 @@ from tracker.measurement.collision.derived import (
     derive_values_from_tied,
 )
 from tracker.measurement.collision.least_squares import CollisionFit, WhitenedResiduals
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -47,10 +45,10 @@ class LawDeparture:
 
     value: float
     std: float
-    response: Floats
-    shared: Floats
-    effect: Floats
-    cov_with_tied: Floats
+    response: Array
+    shared: Array
+    effect: Array
+    cov_with_tied: Array
     typical: float = 0.0
     expected: float = 0.5
     is_shown: bool = True
@@ -75,12 +73,12 @@ class DeparturePosterior:
     """
 
     zero: float
-    mean: Floats
-    cov: Floats
-    precision: Floats
+    mean: Array
+    cov: Array
+    precision: Array
 
     @property
-    def followed(self) -> Floats:
+    def followed(self) -> Array:
         """The shares (n, n) of the noise of the measured values that the mean follows.
 
         The covariance is also the derivative of the mean by normal measured values (Tweedie's formula; Efron, J. Am.
@@ -104,7 +102,7 @@ def weigh_departures(departures: Sequence[LawDeparture]) -> DeparturePosterior:
     return find_posterior(z, precision, typical, [one.expected for one in departures])
 
 
-def find_posterior(z: Floats, precision: Floats, scales: Floats, expected: Sequence[float]) -> DeparturePosterior:
+def find_posterior(z: Array, precision: Array, scales: Array, expected: Sequence[float]) -> DeparturePosterior:
     """Find the posterior of n parameters that are zero or not, from measured values with normal errors.
 
     z (n,): the values, each as measured if all others are zero. precision (n, n): as of `DeparturePosterior`. scales
@@ -171,7 +169,7 @@ def derive_quantities(fit: CollisionFit) -> DerivedValues:
     return derive_from_free(fit.parameters, fit.cov, fit.pair.diameter)
 
 
-def derive_values(fit: CollisionFit, at: Floats, diameter: float, shift: Floats | None = None) -> Floats:
+def derive_values(fit: CollisionFit, at: Array, diameter: float, shift: Array | None = None) -> Array:
     """Derive the quantities (20,) of a fit at other parameters and diameter (m); shift: as for `derive_from_free`."""
     if fit.is_tied:
         return derive_values_from_tied(at, diameter, fit.pair.spin)
@@ -180,8 +178,8 @@ def derive_values(fit: CollisionFit, at: Floats, diameter: float, shift: Floats 
 
 def find_departure(
     fit: CollisionFit,
-    displace: Callable[[WhitenedResiduals, Floats], Floats],
-    known: Floats | None = None,
+    displace: Callable[[WhitenedResiduals, Array], Array],
+    known: Array | None = None,
     by_tied: LawDeparture | None = None,
 ) -> LawDeparture | None:
     """Find a departure by one linear step from a tied or a free fit, without what is expected of it before.
@@ -210,7 +208,7 @@ def find_departure(
         by_camera = np.zeros((len(fit.parameters), known.shape[1]))
         by_camera[problem.index] = -cov @ rows.T @ known
 
-    def differentiate(by: Floats, size: float) -> Floats:
+    def differentiate(by: Array, size: float) -> Array:
         """The change of the quantities per change `by` of the parameters, from so much of it."""
         step = np.zeros(len(fit.parameters))
         step[problem.index] = size * by
@@ -235,7 +233,7 @@ def find_departure(
 
 
 def compare_losses(
-    fit: CollisionFit, known: Floats | None = None, by_tied: LawDeparture | None = None
+    fit: CollisionFit, known: Array | None = None, by_tied: LawDeparture | None = None
 ) -> LawDeparture | None:
     """Find by how much the struck ball's deceleration in rolling exceeds that of the striker, m/s^2.
 
@@ -245,7 +243,7 @@ def compare_losses(
     loss small, but not the true one. known, by_tied: as for `find_departure`.
     """
 
-    def displace(problem: WhitenedResiduals, rows: Floats) -> Floats:
+    def displace(problem: WhitenedResiduals, rows: Array) -> Array:
         by = rows[:, problem.names.index("decel")].copy()
         by[2 * len(fit.pair.struck) :] = 0.0  # the striker's positions and the priors
         return by
@@ -262,7 +260,7 @@ def compare_losses(
 
 
 def find_slope_of_friction(
-    fit: CollisionFit, known: Floats | None = None, by_tied: LawDeparture | None = None, *, expected: float = 0.03
+    fit: CollisionFit, known: Array | None = None, by_tied: LawDeparture | None = None, *, expected: float = 0.03
 ) -> LawDeparture | None:
     """Find k of mu(u) = mu (1 + k u), s/m, u the speed of slip. For a free fit, find only its effect on the quantities.
 
@@ -280,7 +278,7 @@ def find_slope_of_friction(
     changes = {ball: free[at + 2 : at + 4] - free[at : at + 2] for ball, at in AFTER.items()}
     slips = {ball: SLIP_RATE * float(np.hypot(*changes[ball])) for ball in AFTER}  # at the contact, m/s
 
-    def displace(problem: WhitenedResiduals, rows: Floats) -> Floats:
+    def displace(problem: WhitenedResiduals, rows: Array) -> Array:
         """A ball is ahead, along the change of its velocity, by what it gained in its slide."""
         since = problem.start + fit.pair.struck.exposure / 2 - free[0]
         out = np.zeros((len(since), 2))
@@ -324,17 +322,17 @@ def find_p_of_motion(free: CollisionFit, noise_dof: float) -> float:
     return float(chdtrc(count, gain) if np.isinf(noise_dof) else fdtrc(count, noise_dof, gain / count))
 
 
-def _displace_by_other_laws(free: Floats, ball: NDArray[np.int64], since: Floats) -> Floats:
+def _displace_by_other_laws(free: Array, ball: Ints, since: Array) -> Array:
     """Displacements (8, n, 2) of balls in any unit, each by a law of motion that a free fit (22,) does not contain.
 
     In a slide the acceleration changes with time, at the same velocities at its ends. Before the contact and after a
     slide a constant acceleration acts along the way or across it. ball (n,): 1 or 2; since (n,): the contact, s.
     """
 
-    def move(way: Floats, size: Floats) -> Floats:
+    def move(way: Array, size: Array) -> Array:
         return np.outer(size, way / max(float(np.hypot(*way)), 1e-30))
 
-    def turn(displacement: Floats) -> Floats:
+    def turn(displacement: Array) -> Array:
         return np.column_stack([-displacement[:, 1], displacement[:, 0]])
 
     out = []

@@ -10,11 +10,9 @@ from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.measurement.collision.collision_model import AFTER, GRAVITY, TIED, compute_unit_vectors, tied_to_free
-
-Floats = NDArray[np.float64]
 
 QUANTITY_NAMES = (
     *("v0", "b", "t_c", "r", "s", "mu_k", "C", "tau1", "tau2", "v1f", "v2f"),
@@ -32,12 +30,12 @@ class DerivedValues:
     shared (20, k) is the effect of one standard error of each of k keys of the camera file; it is part of `cov`.
     """
 
-    value: Floats
-    cov: Floats
-    shared: Floats = field(default_factory=lambda: np.zeros((len(QUANTITY_NAMES), 0)))
+    value: Array
+    cov: Array
+    shared: Array = field(default_factory=lambda: np.zeros((len(QUANTITY_NAMES), 0)))
 
     @property
-    def std(self) -> Floats:
+    def std(self) -> Array:
         """(20,) standard errors."""
         return np.sqrt(np.diag(self.cov))
 
@@ -47,12 +45,12 @@ class DerivedValues:
         cov[lost, :] = cov[:, lost] = shared[lost] = np.nan
         return DerivedValues(self.value, cov, shared)
 
-    def with_shared(self, shared: Floats) -> DerivedValues:
+    def with_shared(self, shared: Array) -> DerivedValues:
         """The same with further errors, (20, k), each of which moves all quantities together."""
         return replace(self, cov=self.cov + shared @ shared.T, shared=shared)
 
 
-def derive_from_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = None) -> DerivedValues:
+def derive_from_free(free: Array, cov: Array, diameter: float, shift: Array | None = None) -> DerivedValues:
     """Derive the quantities of a free motion from the parameters (22,) and their covariance; diameter in m.
 
     Friction and spin transfer follow from either ball; the two are averaged with weights from their errors. If they
@@ -77,7 +75,7 @@ def derive_from_free(free: Floats, cov: Floats, diameter: float, shift: Floats |
     return DerivedValues(value, merge @ spread @ merge.T).without_errors([*apart, *lost])
 
 
-def make_ball_average(cov: Floats) -> Floats:
+def make_ball_average(cov: Array) -> Array:
     """Build the matrix (n - 2, n) that averages mu_k and C over both balls, with weights from their covariance (n, n).
 
     The first 22 rows of `cov` are those of `derive_from_each_ball`; further ones are kept.
@@ -95,7 +93,7 @@ def make_ball_average(cov: Floats) -> Floats:
     return merge
 
 
-def derive_from_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> DerivedValues:
+def derive_from_tied(tied: Array, cov: Array, diameter: float, spin: float = 0.0) -> DerivedValues:
     """Derive the quantities of a tied motion from the parameters (16,) and their covariance.
 
     diameter in m; spin in m/s, see `tied_to_free`.
@@ -106,7 +104,7 @@ def derive_from_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0
     return DerivedValues(value, slope @ cov @ slope.T)
 
 
-def derive_values_from_tied(tied: Floats, diameter: float, spin: float = 0.0) -> Floats:
+def derive_values_from_tied(tied: Array, diameter: float, spin: float = 0.0) -> Array:
     """Derive the quantities (..., 20) of `derive_from_tied` without their covariance, which takes most of its time."""
     slip = tied[..., TIED.index("ux") : TIED.index("uy") + 1]
     both = derive_from_each_ball(np.asarray(tied_to_free(tied, spin), dtype=np.float64), diameter, slip)
@@ -115,7 +113,7 @@ def derive_values_from_tied(tied: Floats, diameter: float, spin: float = 0.0) ->
     return value
 
 
-def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # type: ignore[no-untyped-def]
+def _with_slope(function, at: Array, cov: Array) -> tuple[Array, Array]:  # type: ignore[no-untyped-def]
     # of a standard error: second-order terms cancel, and rounding stays below 1e-6
     size = 0.01 * np.sqrt(np.diag(cov))
     high, low = function(at + np.diag(size)), function(at - np.diag(size))
@@ -125,21 +123,21 @@ def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # 
     return function(at), slope.T
 
 
-def _weights(cov: Floats) -> Floats:
+def _weights(cov: Array) -> Array:
     """Weights (2,), summing to one, of the best mean of two measurements of one thing."""
     with np.errstate(invalid="ignore", divide="ignore"):  # NaN where neither is known
         first = (cov[1, 1] - cov[0, 1]) / np.float64(_of_difference(cov))
     return np.array([first, 1 - first])
 
 
-def _of_difference(cov: Floats) -> float:
+def _of_difference(cov: Array) -> float:
     """Variance of the difference of two measurements."""
     return float(cov[0, 0] + cov[1, 1] - 2 * cov[0, 1])
 
 
 def derive_from_each_ball(
-    free: Floats, diameter: float, slip: Floats | float = 0.0, masses: tuple[float, float] = (1.0, 1.0)
-) -> Floats:
+    free: Array, diameter: float, slip: Array | float = 0.0, masses: tuple[float, float] = (1.0, 1.0)
+) -> Array:
     """Derive QUANTITY_NAMES, with mu_k and C from each ball: (..., 22).
 
     slip (..., 2): of ball 2 before the hit, m/s. masses: of both balls, in any unit.
@@ -175,15 +173,15 @@ def derive_from_each_ball(
     return np.stack(columns, -1)
 
 
-def dot(a: Floats, b: Floats) -> Floats:
+def dot(a: Array, b: Array) -> Array:
     """Compute the scalar product of vectors along the last axis, for derived quantities."""
     return np.asarray((a * b).sum(-1))
 
 
-def cross(a: Floats, b: Floats) -> Floats:
+def cross(a: Array, b: Array) -> Array:
     """Compute z . (a x b) of vectors (..., 2), for derived quantities."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def _norm(a: Floats) -> Floats:
+def _norm(a: Array) -> Array:
     return np.asarray(np.hypot(a[..., 0], a[..., 1]))

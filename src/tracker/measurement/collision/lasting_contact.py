@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.collision.adequacy import TOO_FEW, compare_fits, compute_p_value, find_impossible_values
 from tracker.measurement.collision.collision_model import (
     AFTER,
@@ -53,7 +54,6 @@ from tracker.measurement.collision.noise_correlation import with_correlated_nois
 from tracker.measurement.positions import BallTrack, measure_separation
 from tracker.settings import FitSettings
 
-Floats = NDArray[np.float64]
 MIN_FRAMES = 4  # outside the contact, before and after it
 MAX_WINDOWS = 12  # of frames in contact that are tried one after the other
 MIN_SIGNIFICANCE = 4.0  # standard errors by which the lines cross at less than one diameter
@@ -98,7 +98,7 @@ class LastingResiduals(PairResiduals):
             free[..., at + 4] = short_slide
         return free
 
-    def predict(self, x: Floats, ball: NDArray[np.int64], start: Floats) -> tuple[Floats, Floats]:
+    def predict(self, x: Array, ball: Ints, start: Array) -> tuple[Array, Array]:
         """Positions (n, 2) of exposures and their derivatives (n, 2, p)."""
         free = np.asarray(self.to_free(x).real, dtype=np.float64)
         steps = x + 1e-30j * np.eye(len(x))
@@ -112,7 +112,7 @@ class LastingResiduals(PairResiduals):
         slope[..., -2] += across
         return position, slope
 
-    def displace(self, x: Floats) -> tuple[Floats, Floats]:
+    def displace(self, x: Array) -> tuple[Array, Array]:
         position, slope = self.predict(x, self.ball, self.start)
         return position, np.moveaxis(slope, -1, 0)
 
@@ -140,7 +140,7 @@ def delay_of_slides(
     return np.asarray(np.where(delay.real < 0.5 * before.real, delay, 0.5 * before))
 
 
-def compute_kept_share(r: Floats) -> tuple[Floats, Floats]:
+def compute_kept_share(r: Array) -> tuple[Array, Array]:
     """Share of the speed lost to a small push after t_c that a lasting contact does not give back, and its error.
 
     A spring without loss gives all of it back. To first order in the push, a linear spring with a dashpot keeps
@@ -163,7 +163,7 @@ def advance_slides(free: NDArray[np.inexact], delay: NDArray[np.inexact]) -> NDA
     return out
 
 
-def rewind_slides(free: Floats, delay: Floats) -> Floats:
+def rewind_slides(free: Array, delay: Array) -> Array:
     """Rewind slides that a lasting contact delays: free parameters (..., 22) at their start, from those at t_c."""
     out = free.copy()
     for at in AFTER.values():
@@ -173,7 +173,7 @@ def rewind_slides(free: Floats, delay: Floats) -> Floats:
     return out
 
 
-def _part(free: Floats, start: Floats, time: Floats) -> tuple[Floats, Floats]:
+def _part(free: Array, start: Array, time: Array) -> tuple[Array, Array]:
     """Separation (..., 2) and its rate, `time` (...) s after the paths cross at the separation `start` (..., 2)."""
     apart, speed = start, np.zeros_like(start)
     for sign, at in zip((1, -1), AFTER.values(), strict=True):
@@ -201,8 +201,8 @@ class LastingFit:
     """One motion fitted to the frames outside a contact."""
 
     problem: LastingResiduals
-    x: Floats  # (p,), as in `LastingResiduals`
-    cov: Floats  # (p, p)
+    x: Array  # (p,), as in `LastingResiduals`
+    cov: Array  # (p, p)
     chi2: float
     dof: int
     converged: bool
@@ -211,7 +211,7 @@ class LastingFit:
     def to(
         pair: BallPair,
         kind: str,
-        starts: list[Floats],
+        starts: list[Array],
         friction: float | None = None,
         tolerance: float = FINE_TOLERANCE,
     ) -> LastingFit:
@@ -229,25 +229,25 @@ class LastingFit:
         return self.problem.pair.diameter
 
     @property
-    def free(self) -> Floats:
+    def free(self) -> Array:
         """(22,) parameters."""
         return self.to_free(self.x)
 
-    def to_free(self, x: Floats) -> Floats:
+    def to_free(self, x: Array) -> Array:
         """The free parameters (..., 22) of x (..., p)."""
         return np.asarray(self.problem.to_free(x), dtype=np.float64)
 
-    def slopes(self, function) -> Floats:  # type: ignore[no-untyped-def]
+    def slopes(self, function) -> Array:  # type: ignore[no-untyped-def]
         """Derivatives (m, p) of a function of x (..., p)."""
         size = 0.01 * np.sqrt(np.diag(self.cov))
         moved = function(self.x + np.diag(size)) - function(self.x - np.diag(size))
         return np.asarray((moved / (2 * size[:, None])).T, dtype=np.float64)
 
-    def times(self, x: Floats) -> Floats:
+    def times(self, x: Array) -> Array:
         """(..., 2) of x (..., p): seconds from the first touch to t_c, and from t_c to the end."""
         return np.stack(self._passage(x)[:2], -1)
 
-    def _passage(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    def _passage(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Return times from the first touch to t_c and on to the end, s, and radial speeds at both; x: (..., p)."""
         free = self.to_free(x)
         d, n, t = (np.asarray(a, dtype=np.float64) for a in compute_unit_vectors(free[..., 3], free[..., 4]))
@@ -267,12 +267,12 @@ class LastingFit:
         apart, speed = _part(free, start, after)
         return before, after, closing, dot(apart, speed) / np.hypot(apart[..., 0], apart[..., 1])
 
-    def at_touch(self, x: Floats) -> Floats:
+    def at_touch(self, x: Array) -> Array:
         """The free parameters (..., 22) of x (..., p), the slides beginning at the first touch."""
         free = self.to_free(x)
         return free if self.problem.kind == "straight" else rewind_slides(free, self.times(x)[..., 0])
 
-    def restitution(self, x: Floats) -> Floats:
+    def restitution(self, x: Array) -> Array:
         """(..., 3): the restitution, the part of friction in it, and the error of what the law of the force changes."""
         free = self.to_free(x)
         _, after, closing, parting = self._passage(x)
@@ -312,7 +312,7 @@ class LastingFit:
             cov += np.outer(effect, effect)
         return replace(found, value=value, cov=cov)
 
-    def _effect_of_slides(self) -> tuple[Floats, Floats]:
+    def _effect_of_slides(self) -> tuple[Array, Array]:
         """Shift of the quantities (20,) of a tied fit by slides that begin in the contact, and its error.
 
         The fit gives too much friction, by a share of (T/tau)^2, T the duration and tau the slide time of a head-on
@@ -332,7 +332,7 @@ class LastingFit:
             effect[at(name)] = share * square * np.exp(self.free[_TAU[ball]])
         return shift, effect
 
-    def predict_left_out(self, rows: BallTrack, ball: int) -> tuple[Floats, Floats]:
+    def predict_left_out(self, rows: BallTrack, ball: int) -> tuple[Array, Array]:
         """Positions (n, 2) that were left out, less those of an instantaneous contact, and derivatives (n, 2, p)."""
         position, slope = self.problem.predict(self.x, np.full(len(rows), ball), rows.start)
         return rows.position - position, slope
@@ -462,7 +462,7 @@ def _is_hopeless(pair: BallPair, frame: int, level: float) -> bool:
 def _momentum_p(straight: LastingFit) -> float:
     """p-value of the momentum that equal balls gain in a hit, which is none."""
 
-    def gain(x: Floats) -> Floats:
+    def gain(x: Array) -> Array:
         free = straight.to_free(x)
         launch, _, _ = compute_unit_vectors(free[..., 3], free[..., 4])
         after = free[..., 8:10] + free[..., 13:15]
@@ -542,11 +542,11 @@ def _leave_out(pair: BallPair, first: int, last: int) -> BallPair | None:
     return replace(pair, struck=struck, striker=striker)
 
 
-def _guess(pair: BallPair, first: int, last: int) -> list[Floats]:
+def _guess(pair: BallPair, first: int, last: int) -> list[Array]:
     """Starts (p,) of a free fit: straight lines before and after, and several slide times."""
     near, fitted = 8, LastingResiduals(pair, "free").index
 
-    def line(track: BallTrack, rows: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    def line(track: BallTrack, rows: Flags) -> tuple[Array, Array]:
         part = track.where(rows)
         velocity, middle, _ = fit_velocity(part)
         return velocity, middle - velocity * part.time.mean()
@@ -627,7 +627,7 @@ def _is_slide_end_seen(free: LastingFit, ball: int, track: BallTrack) -> bool:
     return bool(np.exp(free.x[k]) < 0.9 * (track.start[-1] - free.x[0]) and free.cov[k, k] < 0.2**2)
 
 
-def _straighten(free: LastingFit, pair: BallPair) -> Floats:
+def _straighten(free: LastingFit, pair: BallPair) -> Array:
     """Start (p,) of the straight motion: mean velocities over the first half of the positions after the contact."""
     problem = LastingResiduals(pair, "straight")
     whole = np.concatenate([free.free[:8], np.zeros(4), free.free[-2:]])
@@ -669,7 +669,7 @@ def _may_hide_slide(straight: LastingFit) -> bool:
     return False
 
 
-def _tied_starts(free: LastingFit) -> list[Floats]:
+def _tied_starts(free: LastingFit) -> list[Array]:
     """Starts (p,) of the tied fit, from what a free fit implies."""
     index, values = LastingResiduals(free.problem.pair, "tied").index, free.values().value
     r, mu = (float(values[QUANTITY_NAMES.index(name)]) for name in ("r", "mu_k"))

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import leastsq
 
+from synthcam_shared.arrays import Array
 from tracker.measurement.collision.collision_model import (
     FREE,
     SLIDING,
@@ -29,7 +29,6 @@ from tracker.measurement.collision.collision_model import (
 from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
 
-Floats = NDArray[np.float64]
 FINE_TOLERANCE = 1e-10  # relative change of parameters and chi^2 that ends a descent
 # the same where it is enough to compare minima; a descent that needs over 30 steps is then given up
 ROUGH_TOLERANCE = 1e-4
@@ -86,24 +85,24 @@ class PairResiduals(ABC):
     x holds the fitted parameters: those of `every` that are not held at zero.
     """
 
-    prior: Floats  # (p,) centres of the parameters' priors
-    prior_weight: Floats
+    prior: Array  # (p,) centres of the parameters' priors
+    prior_weight: Array
 
     def __init__(self, pair: BallPair, every: tuple[str, ...], held: Collection[str]) -> None:
         self.pair, self.size = pair, len(every)
         self.names = tuple(name for name in every if name not in held)
         self.index = np.array([every.index(name) for name in self.names])
-        self._last: tuple[bytes, Floats, Floats] | None = None
+        self._last: tuple[bytes, Array, Array] | None = None
         tracks = [track for _, track in pair.balls]
         self.ball = np.repeat([1, 2], [len(track) for track in tracks])
         self.start = np.concatenate([track.start for track in tracks])
         self.seen = np.concatenate([track.position for track in tracks])
 
     @abstractmethod
-    def displace(self, x: Floats) -> tuple[Floats, Floats]:
+    def displace(self, x: Array) -> tuple[Array, Array]:
         """Positions (n, 2) of both balls, ball 1's first, and derivatives (p, n, 2)."""
 
-    def __call__(self, x: Floats) -> tuple[Floats, Floats]:
+    def __call__(self, x: Array) -> tuple[Array, Array]:
         """Residuals (2n + p,) and derivatives (2n + p, p), priors last; kept for the last x."""
         key = x.tobytes()
         if self._last is None or self._last[0] != key:
@@ -117,27 +116,27 @@ class PairResiduals(ABC):
                 self._last = (key, np.clip(residual, -1e9, 1e9), columns.T)
         return self._last[1], self._last[2]
 
-    def residual(self, x: Floats) -> Floats:
+    def residual(self, x: Array) -> Array:
         """Whitened residuals (2n + p,), priors last."""
         return self(x)[0]
 
-    def slope(self, x: Floats) -> Floats:
+    def slope(self, x: Array) -> Array:
         """Derivatives (2n + p, p) of `residual`."""
         return self(x)[1]
 
-    def whole(self, x: Floats) -> Floats:
+    def whole(self, x: Array) -> Array:
         """All parameters from the fitted ones (p,)."""
         out = np.zeros(self.size)
         out[self.index] = x
         return out
 
-    def whole_cov(self, cov: Floats) -> Floats:
+    def whole_cov(self, cov: Array) -> Array:
         """Covariance of all parameters from that of the fitted ones (p, p): zero where one is held."""
         out = np.zeros((self.size, self.size))
         out[np.ix_(self.index, self.index)] = cov
         return out
 
-    def whiten(self, rows: Floats) -> Floats:
+    def whiten(self, rows: Array) -> Array:
         """Shifts (k, n, 2) of the positions, ball 1's first, in units of their errors, (k, 2n)."""
         cut = len(self.pair.struck)
         return np.concatenate([self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])], axis=1)
@@ -152,7 +151,7 @@ class WhitenedResiduals(PairResiduals):
         centres = np.array([BROAD_PRIORS.get(name, (0.0, np.inf)) for name in self.names])
         self.prior, self.prior_weight = centres[:, 0], 1.0 / centres[:, 1]
 
-    def displace(self, x: Floats) -> tuple[Floats, Floats]:
+    def displace(self, x: Array) -> tuple[Array, Array]:
         full = self.whole(x)
         position, slope = self._path(full)
         slopes = slope.transpose(2, 0, 1)
@@ -161,13 +160,13 @@ class WhitenedResiduals(PairResiduals):
         by = tied_to_free_jacobian(full, self.pair.spin)[:, self.index]
         return position, (by.T @ slopes.reshape(len(slopes), -1)).reshape(-1, *position.shape)
 
-    def _path(self, full: Floats) -> tuple[Floats, Floats]:
+    def _path(self, full: Array) -> tuple[Array, Array]:
         """Positions (n, 2) of both balls, ball 1's first, and derivatives (n, 2, 22) by the free parameters."""
         free = np.asarray(tied_to_free(full, self.pair.spin), dtype=np.float64) if self.tied else full
         with np.errstate(over="ignore", invalid="ignore"):  # a slide without end
             return mean_positions(free, self.ball, self.start, self.pair.struck.exposure, self.pair.diameter)
 
-    def distances(self, x: Floats) -> Floats:
+    def distances(self, x: Array) -> Array:
         """Squared Mahalanobis distance (n,) of each position by itself, ball 1's first."""
         off, cut = self._path(self.whole(x))[0] - self.seen, len(self.pair.struck)
         one, two = self.pair.struck.whiten, self.pair.striker.whiten
@@ -178,8 +177,8 @@ class WhitenedResiduals(PairResiduals):
 class CollisionFit:
     """Best parameters of one motion, and how well it fits."""
 
-    parameters: Floats  # (16,) of a tied fit, or (22,) of a free one
-    cov: Floats  # zero for parameters that are held at zero
+    parameters: Array  # (16,) of a tied fit, or (22,) of a free one
+    cov: Array  # zero for parameters that are held at zero
     chi2: float  # of the data alone, without the prior
     dof: int
     pair: BallPair  # without the positions that were dropped as outliers
@@ -191,7 +190,7 @@ class CollisionFit:
         """True if restitution, friction and spin transfer determine the motion after the hit."""
         return len(self.parameters) == len(TIED)
 
-    def linearise(self) -> tuple[WhitenedResiduals, Floats, Floats, Floats]:
+    def linearise(self) -> tuple[WhitenedResiduals, Array, Array, Array]:
         """The problem of the fit with residuals, derivatives and covariance of the fitted parameters at its minimum."""
         problem = WhitenedResiduals(self.pair, self.is_tied)
         fitted = problem.index
@@ -201,13 +200,13 @@ class CollisionFit:
 class LeastSquaresProblem(Protocol):
     """A least-squares problem: weighted residuals (m,) and their derivatives (m, p)."""
 
-    def residual(self, x: Floats) -> Floats: ...
-    def slope(self, x: Floats) -> Floats: ...
+    def residual(self, x: Array) -> Array: ...
+    def slope(self, x: Array) -> Array: ...
 
 
 def find_best_minimum(
-    problem: LeastSquaresProblem, starts: Sequence[Floats], tolerance: float = FINE_TOLERANCE
-) -> tuple[Floats, bool]:
+    problem: LeastSquaresProblem, starts: Sequence[Array], tolerance: float = FINE_TOLERANCE
+) -> tuple[Array, bool]:
     """Find the best of several minima by Levenberg-Marquardt (MINPACK), and whether that descent converged.
 
     A relative change of parameters and chi^2 by `tolerance` ends a descent. The descents from all starts but the first
@@ -224,7 +223,7 @@ def find_best_minimum(
     return best, converged
 
 
-def _descend(problem: LeastSquaresProblem, start: Floats, tolerance: float) -> tuple[Floats, float, bool]:
+def _descend(problem: LeastSquaresProblem, start: Array, tolerance: float) -> tuple[Array, float, bool]:
     """Parameters, half their chi^2, whether a relative step or gain under `tolerance` ended the descent."""
     x, _, found, _, ended = leastsq(
         problem.residual, start, Dfun=lambda x: problem.slope(x).T, col_deriv=True, full_output=True, xtol=tolerance,
@@ -234,7 +233,7 @@ def _descend(problem: LeastSquaresProblem, start: Floats, tolerance: float) -> t
 
 
 def fit_motion(
-    pair: BallPair, tied: bool, starts: list[Floats], tolerance: float = FINE_TOLERANCE, whole: bool = False
+    pair: BallPair, tied: bool, starts: list[Array], tolerance: float = FINE_TOLERANCE, whole: bool = False
 ) -> CollisionFit:
     """Fit a tied or free motion by least squares, from starts (16,) or (22,). A few outliers are dropped once.
 
@@ -256,7 +255,7 @@ def fit_motion(
     return CollisionFit(problem.whole(best), cov, chi2, dof, pair, dropped, converged)
 
 
-def covariance(rows: Floats) -> Floats:
+def covariance(rows: Array) -> Array:
     """Compute the covariance (J^T J)^-1 of a least-squares fit, columns scaled first: units differ by powers of ten."""
     size = np.linalg.norm(rows, axis=0)
     size[size == 0] = 1e-30
@@ -265,8 +264,8 @@ def covariance(rows: Floats) -> Floats:
 
 
 def _try_across_frame_edge(
-    problem: WhitenedResiduals, best: Floats, converged: bool, tolerance: float
-) -> tuple[Floats, bool]:
+    problem: WhitenedResiduals, best: Array, converged: bool, tolerance: float
+) -> tuple[Array, bool]:
     """chi^2 has a kink where t_c crosses an exposure: try the other side when one is near."""
     struck = problem.pair.struck
     residual, rows = problem(best)

@@ -11,15 +11,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Ints
 from tracker.measurement.collision.collision_model import FREE
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter, share_seen_by_scatter
 from tracker.measurement.noise.whitening import compute_innovations
 from tracker.measurement.positions import BallTrack
 
-Floats = NDArray[np.float64]
 MIN_CORRELATION_SIGMA = 3.0  # standard errors of the correlation of neighbouring residuals, from which on it is fitted
 
 
@@ -99,7 +98,7 @@ def _rolling_stretches(pair: BallPair, free: CollisionFit) -> Iterator[BallTrack
                 yield track.where(rows)
 
 
-def _whiten_with_cubics(track: BallTrack) -> tuple[Floats, NDArray[np.int64]]:
+def _whiten_with_cubics(track: BallTrack) -> tuple[Array, Ints]:
     """Cubics of either axis and positions, whitened by the claimed errors, (9, 2n); frames (n,)."""
     scaled = np.interp(track.frame, [track.frame[0], track.frame[-1]], [-1, 1])
     columns = np.zeros((9, len(track), 2))
@@ -108,7 +107,7 @@ def _whiten_with_cubics(track: BallTrack) -> tuple[Floats, NDArray[np.int64]]:
     return replace(track, rho=0.0).whiten(columns), track.frame
 
 
-def _restricted_likelihood(parts: list[tuple[Floats, NDArray[np.int64]]], rho: float) -> tuple[float, ScatterRatio]:
+def _restricted_likelihood(parts: list[tuple[Array, Ints]], rho: float) -> tuple[float, ScatterRatio]:
     """Logarithm of the restricted likelihood at a correlation, with the size that maximises it."""
     squares, freedom, volume = 0.0, 0, 0.0
     for columns, frame in parts:

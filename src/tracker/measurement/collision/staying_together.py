@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.measurement.collision.contacts import fit_velocity
 from tracker.measurement.positions import BallTrack, measure_separation
 
-Floats = NDArray[np.float64]
 MAX_DISTANCE = 1.02  # diameters
 
 
@@ -81,7 +80,7 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[
         )
 
 
-def bounces_first(excess: Floats, noise: float) -> bool:
+def bounces_first(excess: Array, noise: float) -> bool:
     """Decide whether balls that end up staying together part first, as rolling ones of r near .4 do.
 
     Tape swings out for as long as the balls were nearer than a diameter. Plate friction takes longer to stop balls that
@@ -102,7 +101,7 @@ def bounces_first(excess: Floats, noise: float) -> bool:
     return bool(rise > 4 * noise * np.sqrt(1 / smoothed_frames + 1 / first))
 
 
-def fit_slope(time: Floats, apart: Floats, noise: float) -> tuple[float, float]:
+def fit_slope(time: Array, apart: Array, noise: float) -> tuple[float, float]:
     """Fit a straight line to distances (n,), m, of balls near a contact: slope, and its error by noise or scatter."""
     t = time - time.mean()
     slope = float(t @ apart / (t @ t))

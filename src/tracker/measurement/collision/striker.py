@@ -10,15 +10,14 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.measurement.collision.adequacy import Flag
 from tracker.measurement.collision.collision_model import FREE, GRAVITY, SLIDING, SPIN, TIED
 from tracker.measurement.collision.contacts import Contact
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit
 from tracker.measurement.noise.position_noise import WINDOW_FRAMES, find_bent_windows
 
-Floats = NDArray[np.float64]
 MIN_POSITIONS_BEFORE_CONTACT = 5  # positions before the contact
 
 
@@ -28,10 +27,10 @@ class StrikerHypothesis:
 
     flags: tuple[Flag, ...]
     contact: Contact
-    starts: list[Floats]
+    starts: list[Array]
 
 
-def list_alternative_strikers(contact: Contact, rolling: Floats) -> Iterator[StrikerHypothesis]:
+def list_alternative_strikers(contact: Contact, rolling: Array) -> Iterator[StrikerHypothesis]:
     """List motions of ball 2 before the hit other than rolling, the simplest first.
 
     rolling: the tied parameters (16,) by which both balls roll.
@@ -79,7 +78,7 @@ def _without_first_positions(contact: Contact) -> Iterator[Contact]:
             yield replace(contact, pair=replace(contact.pair, striker=track.where(rows)))
 
 
-def _sliding_starts(pair: BallPair, rolling: Floats) -> list[Floats]:
+def _sliding_starts(pair: BallPair, rolling: Array) -> list[Array]:
     """Starts (16,) by which the striker slides: its slip lies along its deceleration before the contact."""
     track = pair.striker
     before = track.where(track.start + track.exposure < rolling[0])

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.camera_errors import shared_effects
@@ -18,7 +18,6 @@ from tracker.measurement.local.recommendation import COMPARED, LOCAL, NONE, SUFF
 from tracker.measurement.positions import to_ball_tracks
 from tracker.measurement.random_effects import RandomEffects, fit_random_effects
 
-Floats = NDArray[np.float64]
 DERIVED = ("v_n", "v_t", "mu_bb", "impulse", "energy", "energy_lost")  # of v0, b, r and s
 SIGNED = np.array([name in ("v_t", "mu_bb") for name in DERIVED])  # of which the table has the size
 SHARED = ("r", "mu_bb", "mu_k")  # what all contacts of a film have in common
@@ -92,7 +91,7 @@ def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:
     return out | {f"{n}{end}": v for n, pair in derived.items() for end, v in zip(("", "_std"), pair, strict=True)}
 
 
-def derive_with_errors(value: Floats, cov: Floats) -> tuple[list[float], list[float]]:
+def derive_with_errors(value: Array, cov: Array) -> tuple[list[float], list[float]]:
     """Compute the DERIVED columns of the table of contacts and their errors, by values one standard error away.
 
     The mean of a quantity that bends, such as 1 - r^2, is corrected for the spread of r.
@@ -106,7 +105,7 @@ def derive_with_errors(value: Floats, cov: Floats) -> tuple[list[float], list[fl
     return np.where(SIGNED, np.abs(corrected), corrected).tolist(), std.tolist()
 
 
-def _derive(values: Floats) -> Floats:
+def _derive(values: Array) -> Array:
     """DERIVED from v0, b, r and s; v_t and mu_bb with the sign of b."""
     v0, b, r, s = values
     along, across = v0 * np.sqrt(max(1 - b * b, 1e-12)), v0 * b

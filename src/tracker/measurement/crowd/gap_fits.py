@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from synthcam_shared.arrays import Array, Flags, Ints
+
 SLIDE_ERROR = 0.2  # relative, of either component of the way that an earlier slide costs
 
 
@@ -55,9 +53,9 @@ class ConsecutivePositions(NamedTuple):
 
     particle: int
     frame: Ints  # (n,)
-    time: Floats  # (n,) s
-    position: Floats  # (n, 2) m
-    variance: Floats  # (n,) of a coordinate, m^2
+    time: Array  # (n,) s
+    position: Array  # (n, 2) m
+    variance: Array  # (n,) of a coordinate, m^2
 
     def between(self, low: float, high: float) -> ConsecutivePositions:
         """The positions in frames after `low` and before `high`."""
@@ -72,36 +70,36 @@ class Slides(NamedTuple):
     A slip of zero is no slide.
     """
 
-    start: Floats  # (...) s
-    slip: Floats  # (..., 2) there
+    start: Array  # (...) s
+    slip: Array  # (..., 2) there
     decel: float
 
     @property
-    def duration(self) -> Floats:
+    def duration(self) -> Array:
         """How long they last (...), s."""
         return np.asarray(2 * np.hypot(self.slip[..., 0], self.slip[..., 1]) / (7 * max(self.decel, 1e-300)))
 
     @property
-    def direction(self) -> Floats:
+    def direction(self) -> Array:
         """Unit vectors (..., 2) along the slips."""
         return np.asarray(self.slip / np.maximum(np.hypot(self.slip[..., 0], self.slip[..., 1]), 1e-12)[..., None])
 
-    def shape(self, time: Floats) -> Floats:
+    def shape(self, time: Array) -> Array:
         """The ways (..., n) that the balls lost since the start."""
         since = np.maximum(time - self.start[..., None], 0.0)
         lasts = np.minimum(since, self.duration[..., None])
         return np.asarray(self.decel * lasts * (since - lasts / 2))
 
-    def rate(self, time: Floats) -> Floats:
+    def rate(self, time: Array) -> Array:
         """The speeds (...) that the balls lost since the start."""
         return np.asarray(self.decel * np.clip(time - self.start, 0.0, self.duration))
 
-    def left(self, time: Floats) -> Floats:
+    def left(self, time: Array) -> Array:
         """Compute the slips (..., 2) at later instants."""
         share = np.maximum(1 - (time - self.start) / np.maximum(self.duration, 1e-12), 0.0)
         return np.asarray(self.slip * share[..., None])
 
-    def where(self, holds: Mask) -> Slides:
+    def where(self, holds: Flags) -> Slides:
         """The same slides, and none elsewhere."""
         return self._replace(slip=np.where(holds[..., None], self.slip, 0.0))
 
@@ -112,24 +110,24 @@ class Parabolas(NamedTuple):
     Slides from before add the way that the balls lost, times a vector near minus their direction.
     """
 
-    value: Floats  # (..., 4, 2)
-    cov: Floats  # (..., 4, 4)
-    chi2: Floats  # (...)
+    value: Array  # (..., 4, 2)
+    cov: Array  # (..., 4, 4)
+    chi2: Array  # (...)
     slides: Slides
 
-    def at(self, time: Floats) -> tuple[Floats, Floats]:
+    def at(self, time: Array) -> tuple[Array, Array]:
         """Positions (..., n, 2) at times (..., n), and their variances (..., n)."""
         basis = _make_basis(time, self.slides)
         return basis @ self.value, ((basis @ self.cov) * basis).sum(axis=-1)
 
-    def velocity(self, time: Floats) -> tuple[Floats, Floats]:
+    def velocity(self, time: Array) -> tuple[Array, Array]:
         """Velocities (..., 2) and their variances (...)."""
         basis = np.zeros((*time.shape, 1, 4))
         basis[..., 0, 1], basis[..., 0, 2], basis[..., 0, 3] = 1.0, 2 * time, self.slides.rate(time)
         variance = (basis @ self.cov @ np.swapaxes(basis, -1, -2))[..., 0, 0]
         return (basis @ self.value)[..., 0, :], variance
 
-    def replace_where(self, holds: Mask, other: Parabolas) -> Parabolas:
+    def replace_where(self, holds: Flags, other: Parabolas) -> Parabolas:
         """The others where a condition (...) holds."""
         return Parabolas(
             np.where(holds[..., None, None], other.value, self.value),
@@ -143,14 +141,14 @@ class Parabolas(NamedTuple):
         )
 
 
-def _make_basis(time: Floats, slides: Slides) -> Floats:
+def _make_basis(time: Array, slides: Slides) -> Array:
     basis = np.empty((*time.shape, 4))
     basis[..., 0], basis[..., 1], basis[..., 2], basis[..., 3] = 1.0, time, time * time, slides.shape(time)
     return basis
 
 
 def _fit_paths(
-    time: Floats, position: Floats, used: Mask, variance: Floats, curvature: float, slides: Slides
+    time: Array, position: Array, used: Flags, variance: Array, curvature: float, slides: Slides
 ) -> Parabolas:
     """Fit parabolas whose acceleration is `curvature` or so to the used ones of positions (..., n, 2)."""
     basis = _make_basis(time, slides)
@@ -189,17 +187,17 @@ class ContactGaps(NamedTuple):
     """
 
     candidate: Ints
-    time: Floats
-    position: Floats
-    variance: Floats
-    before: Mask
-    after: Mask
-    zero: Floats
-    low: Floats
-    high: Floats
+    time: Array
+    position: Array
+    variance: Array
+    before: Flags
+    after: Flags
+    zero: Array
+    low: Array
+    high: Array
     slides: Slides
 
-    def take(self, rows: Mask) -> ContactGaps:
+    def take(self, rows: Flags) -> ContactGaps:
         """Those gaps."""
         kept = {name: values[rows] for name, values in self._asdict().items() if name != "slides"}
         return ContactGaps(**kept, slides=Slides(self.slides.start[rows], self.slides.slip[rows], self.slides.decel))
@@ -208,7 +206,7 @@ class ContactGaps(NamedTuple):
 def gather_gaps(
     candidates: Sequence[Sequence[ConsecutivePositions]],
     gaps: Sequence[Sequence[tuple[int, int]]],
-    last_slides: Sequence[Sequence[tuple[float, Floats] | None]],
+    last_slides: Sequence[Sequence[tuple[float, Array] | None]],
     decel: float,
     frame_s: float,
 ) -> ContactGaps:
@@ -238,7 +236,7 @@ def gather_gaps(
     frame, time, position, start, slip = (values[candidate] for values in (frame, time, position, start, slip))
     there = np.arange(most) < count[candidate][..., None]
 
-    def find_times(at: Floats) -> Floats:
+    def find_times(at: Array) -> Array:
         """The instants (m, balls) of frames (m,) that a track may lack."""
         nearest = np.argmin(np.abs(frame - at[:, None, None]), axis=-1)[..., None]
         steps = at[:, None] - np.take_along_axis(frame, nearest, axis=-1)[..., 0]
@@ -263,16 +261,16 @@ class ContactFits(NamedTuple):
     """The best instants of contacts in m gaps, and what is known there."""
 
     candidate: Ints  # (m,)
-    time: Floats  # (m,)
-    time_std: Floats
-    chi2: Floats
-    smooth: Floats  # chi^2 without a contact
-    excess: Floats  # chi^2 over its degrees of freedom, at least 1
-    places: Floats  # (m, balls, 2)
-    before: Floats  # (m, balls, 2) velocities; NaN where too few positions show one
-    after: Floats
-    velocity_std: Floats  # (m, balls) of the change
-    slips: Floats  # (m, balls, 2) just after; NaN if unknown, 0 if balls glide
+    time: Array  # (m,)
+    time_std: Array
+    chi2: Array
+    smooth: Array  # chi^2 without a contact
+    excess: Array  # chi^2 over its degrees of freedom, at least 1
+    places: Array  # (m, balls, 2)
+    before: Array  # (m, balls, 2) velocities; NaN where too few positions show one
+    after: Array
+    velocity_std: Array  # (m, balls) of the change
+    slips: Array  # (m, balls, 2) just after; NaN if unknown, 0 if balls glide
 
     def take(self, rows: Ints | int) -> ContactFits:
         """Those gaps."""
@@ -291,10 +289,10 @@ def fit_gaps(gaps: ContactGaps, settings: ContactFinderSettings, diameter: float
     earlier = gaps.slides.where((gaps.slides.start < first) & (gaps.slides.start + gaps.slides.duration >= first))
     none = Slides(np.zeros(first.shape), np.zeros((*first.shape, 2)), gaps.slides.decel)
 
-    def fit(used: Mask, slides: Slides, position: Floats = gaps.position) -> Parabolas:
+    def fit(used: Flags, slides: Slides, position: Array = gaps.position) -> Parabolas:
         return _fit_paths(gaps.time, position, used, gaps.variance, settings.curvature, slides)
 
-    def fit_with_slides(used: Mask) -> Parabolas:
+    def fit_with_slides(used: Flags) -> Parabolas:
         """With the slide of the last contact before, if that fits better."""
         rolls = fit(used, none)
         if not earlier.slip.any():
@@ -341,7 +339,7 @@ def fit_gaps(gaps: ContactGaps, settings: ContactFinderSettings, diameter: float
     )
 
 
-def _take_usable(gaps: ContactGaps, least: int) -> tuple[ContactGaps, Mask, Mask]:
+def _take_usable(gaps: ContactGaps, least: int) -> tuple[ContactGaps, Flags, Flags]:
     """The gaps with enough positions, and for each ball whether it has `least` positions before and after.
 
     A single ball needs both sides. If there are two balls, one needs both sides and the other needs one.
@@ -353,8 +351,8 @@ def _take_usable(gaps: ContactGaps, least: int) -> tuple[ContactGaps, Mask, Mask
 
 
 def _predict_slips(
-    before: Parabolas, after: Parabolas, has: tuple[Mask, Mask], start: Floats, spin_transfer: float
-) -> Floats:
+    before: Parabolas, after: Parabolas, has: tuple[Flags, Flags], start: Array, spin_transfer: float
+) -> Array:
     """Predict how fast the lowest point of each ball slides after a contact; NaN where a path is not known.
 
     The kick adds to what is left of the slip of an earlier contact. The surfaces of balls that roll also drag one
@@ -376,8 +374,8 @@ def _predict_slips(
 
 
 def _compare_paths(
-    before: Parabolas, after: Parabolas, has: tuple[Mask, Mask], times: Floats, touch: tuple[float, float]
-) -> tuple[Floats, Floats]:
+    before: Parabolas, after: Parabolas, has: tuple[Flags, Flags], times: Array, touch: tuple[float, float]
+) -> tuple[Array, Array]:
     """The chi^2 (m, n) of contacts at each of n instants, and the places (m, balls, n, 2) of the balls there.
 
     The paths before and after meet there. touch: distance of two balls, m, with its error.
@@ -397,7 +395,7 @@ def _compare_paths(
     return total, place
 
 
-def _find_least(times: Floats, cost: Floats) -> tuple[Floats, Floats]:
+def _find_least(times: Array, cost: Array) -> tuple[Array, Array]:
     """The instants of the least costs (m,), by parabolas about the least of those tried, and second derivatives."""
     best, rows = np.argmin(cost, axis=1), np.arange(len(cost))
     inner = np.clip(best, 1, times.shape[1] - 2)

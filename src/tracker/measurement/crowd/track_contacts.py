@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import expit
 
+from synthcam_shared.arrays import Array
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import find_near_pairs
 from tracker.measurement.crowd.gap_fits import (
@@ -30,8 +30,6 @@ from tracker.measurement.crowd.gap_fits import (
 from tracker.measurement.positions import BallTrack, measure_separation
 from tracker.measurement.stretch_cuts import StretchCutter, measure_path_noise
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 NO_BALL = -1  # in place of a second ball: a wall, or something unseen
 CUTTER = StretchCutter(kink_positions=3, max_acceleration=2.4, kink_sigma=4.0)  # candidates only
 MAX_SPIN_TRANSFER = 5 / 14  # of balls whose surfaces stick to one another
@@ -65,13 +63,13 @@ class TrackContact:
     time_std: float
     one: int
     other: int
-    xy: Floats
-    normal: Floats
+    xy: Array
+    normal: Array
     kick: float
     kick_std: float
     gain: float
     confidence: float
-    slips: Floats
+    slips: Array
 
     @property
     def balls(self) -> tuple[int, ...]:
@@ -89,7 +87,7 @@ class _Film:
     diameter: float
     settings: ContactFinderSettings
     events: dict[int, list[float]]  # of each ball, frames at which something may have happened to it
-    slides: dict[int, list[tuple[float, Floats]]] = field(default_factory=dict)  # of each ball: instants and slips
+    slides: dict[int, list[tuple[float, Array]]] = field(default_factory=dict)  # of each ball: instants and slips
 
     @property
     def same_s(self) -> float:
@@ -126,7 +124,7 @@ class _Film:
         """Fit a contact in each gap."""
         return fit_gaps(gaps, self.settings, self.diameter, self.exposure)
 
-    def _find_last_slide(self, part: ConsecutivePositions) -> tuple[float, Floats] | None:
+    def _find_last_slide(self, part: ConsecutivePositions) -> tuple[float, Array] | None:
         """The last slide of a ball that starts before its positions."""
         slides = self.slides.get(part.particle, ()) if len(part.time) else ()
         return next((slide for slide in reversed(slides) if slide[0] < part.time[0]), None)
@@ -266,14 +264,14 @@ def _find_partners(found: Sequence[TrackContact], balls: Sequence[BallTrack], fi
 
 
 def _list_events(
-    ball: BallTrack, kinks: Floats, found: Sequence[TrackContact], apart: float
+    ball: BallTrack, kinks: Array, found: Sequence[TrackContact], apart: float
 ) -> tuple[list[float], list[float]]:
     """Frames, with parts of them, of the contacts of a ball, and of its kinks that are `apart` from these or more."""
     own = [float(np.interp(c.time, ball.time, ball.frame)) for c in found if ball.particle in c.balls]
     return own, [at for at in kinks.tolist() if min((abs(at - f) for f in own), default=np.inf) > apart]
 
 
-def _find_kinks(ball: BallTrack, noise: float) -> Floats:
+def _find_kinks(ball: BallTrack, noise: float) -> Array:
     """Frames, with halves, at which the path of a ball has a kink."""
     at = CUTTER.find_kinks(ball.time, CUTTER.measure_kinks(ball.time, ball.position, noise))
     return np.interp(at, ball.time, ball.frame)

@@ -14,13 +14,11 @@ from itertools import groupby
 from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Ints
 from tracker.measurement.local.local_problem import LocalProblem, LocalSolution
 from tracker.measurement.local.stretches import Stretch, evaluate_path
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Found = TypeVar("Found")
 MOST_AT_ONCE = 100  # problems in a stack; more are no quicker
 
@@ -34,14 +32,14 @@ class Descent:
     """
 
     problems: Sequence[LocalProblem]
-    x: Floats
+    x: Array
     sizes: Sequence[float]  # of the errors of each stretch, over the claimed ones
     steps: int = 40
     hopeless: float = np.inf
     least_gain: float = 1e-4
 
     @staticmethod
-    def of(problem: LocalProblem, x: Floats, sizes: Sequence[float], least_gain: float) -> Descent:
+    def of(problem: LocalProblem, x: Array, sizes: Sequence[float], least_gain: float) -> Descent:
         """The descent of one problem from one start (n,)."""
         return Descent([problem], x[None], sizes, least_gain=least_gain)
 
@@ -144,7 +142,7 @@ def _solve_stack(descents: Sequence[Descent]) -> list[list[LocalSolution]]:
     return [[next(found) for _ in descent.problems] for descent in descents]
 
 
-def _read_solutions(stack: ProblemStack, x: Floats, cost: Floats, square: Floats) -> list[LocalSolution]:
+def _read_solutions(stack: ProblemStack, x: Array, cost: Array, square: Array) -> list[LocalSolution]:
     """The solutions of a stack by its parameters, costs and squared derivatives at the minima."""
     each = np.arange(stack.one.size)
     size = np.sqrt(np.maximum(np.diagonal(square, axis1=1, axis2=2), 1e-300))
@@ -161,7 +159,7 @@ def _read_solutions(stack: ProblemStack, x: Floats, cost: Floats, square: Floats
     return out
 
 
-def follow_displacements(solution: LocalSolution, moved: Sequence[Floats]) -> Floats:
+def follow_displacements(solution: LocalSolution, moved: Sequence[Array]) -> Array:
     """Compute the changes (m, n) of the parameters, to first order, by m displacements of all positions.
 
     moved: displacements (m, positions, 2) of each stretch, m.
@@ -174,7 +172,7 @@ def follow_displacements(solution: LocalSolution, moved: Sequence[Floats]) -> Fl
     return np.asarray(pull @ solution.cov)
 
 
-def solve_each(square: Floats, pull: Floats) -> Floats:
+def solve_each(square: Array, pull: Array) -> Array:
     """Solve the linear systems (m, n, n) of local fits; NaN of a singular one, whose step is then rejected."""
     try:
         return np.asarray(np.linalg.solve(square, pull))
@@ -184,7 +182,7 @@ def solve_each(square: Floats, pull: Floats) -> Floats:
         return np.concatenate([solve_each(square[k : k + 1], pull[k : k + 1]) for k in range(len(square))])
 
 
-def _within_reach(problem: LocalProblem, x: Floats, step: Floats) -> Floats:
+def _within_reach(problem: LocalProblem, x: Array, step: Array) -> Array:
     """Steps (m, n) whose logarithms, and directions of friction in rad, change by at most one."""
     out = x + step
     taus = [problem.start[k] + 6 for k, motion in enumerate(problem.motions) if motion.ends]
@@ -199,9 +197,9 @@ class StretchStack(NamedTuple):
     """The stretches of one side of h hits, with as many positions each; those that a stretch lacks have no weight."""
 
     stretches: Sequence[Stretch]
-    time: Floats  # (h, n) s
-    position: Floats  # (h, n, 2) m
-    root: Floats | None  # (h, n, 2, 2) that whitens each position; None if errors of different positions correlate
+    time: Array  # (h, n) s
+    position: Array  # (h, n, 2) m
+    root: Array | None  # (h, n, 2, 2) that whitens each position; None if errors of different positions correlate
 
     @staticmethod
     def of(stretches: Sequence[Stretch]) -> StretchStack:
@@ -219,7 +217,7 @@ class StretchStack(NamedTuple):
         )
         return StretchStack(stretches, time, position, root)
 
-    def whiten(self, errors: Floats, hits: Ints) -> Floats:
+    def whiten(self, errors: Array, hits: Ints) -> Array:
         """Whiten errors (m, k, n, 2) of problems of each of these hits (m,), in ascending order: (m, k, 2n)."""
         out = np.zeros(errors.shape)
         if self.root is not None:
@@ -240,7 +238,7 @@ class ProblemStack:
     A stretch depends on a few of the parameters only, so sums of squares are those of its own rows and parameters.
     """
 
-    def __init__(self, problems: Sequence[LocalProblem], sizes: Floats) -> None:
+    def __init__(self, problems: Sequence[LocalProblem], sizes: Array) -> None:
         """sizes (m, 4): of the errors of each stretch, over the claimed ones."""
         self.problems, self.sizes, self.one = problems, sizes, problems[0]
         numbers = dict[int, int]()  # of the hits
@@ -260,7 +258,7 @@ class ProblemStack:
         self.distance_error = np.array([p.distance_share * p.diameter for p in priors])
         self.turn = np.array([p.turn for p in priors])
 
-    def sum_squares(self, x: Floats, which: Ints) -> tuple[Floats, Floats, Floats]:
+    def sum_squares(self, x: Array, which: Ints) -> tuple[Array, Array, Array]:
         """Sums of squared whitened residuals r (m,), of their derivatives J times r (m, n), and of J by J (m, n, n).
 
         x (m, n): parameters of these problems (m,).
@@ -277,9 +275,9 @@ class ProblemStack:
             square[:, columns[:, None], columns] += own[:, 1:, 1:]
         return cost, pull, square
 
-    def weigh_positions(self, x: Floats, cov: Floats) -> tuple[Floats, Floats, Floats]:
+    def weigh_positions(self, x: Array, cov: Array) -> tuple[Array, Array, Array]:
         """Whitened residuals (m, 2n) of all problems, their degrees of freedom, and the cost (m,) of what is known."""
-        which, residuals, freedoms = np.arange(len(x)), list[Floats](), list[Floats]()
+        which, residuals, freedoms = np.arange(len(x)), list[Array](), list[Array]()
         for k, (rows, columns) in enumerate(self.parts):
             white = self._whiten_stretch(x, which, k)[:, rows]
             by = white[:, 1:]
@@ -288,7 +286,7 @@ class ProblemStack:
         known, _ = self._weigh_known(x, which)
         return np.concatenate(residuals, axis=1), np.concatenate(freedoms, axis=1), (known**2).sum(axis=1)
 
-    def _whiten_stretch(self, x: Floats, which: Ints, k: int) -> Floats:
+    def _whiten_stretch(self, x: Array, which: Ints, k: int) -> Array:
         """Whitened residuals of a stretch, and their derivatives by its own parameters and by the instant.
 
         Returns (m, 1 + size + 1, 2n), in that order.
@@ -311,7 +309,7 @@ class ProblemStack:
         white /= self.sizes[which, k, None, None]
         return white
 
-    def _weigh_known(self, x: Floats, which: Ints) -> tuple[Floats, Floats]:
+    def _weigh_known(self, x: Array, which: Ints) -> tuple[Array, Array]:
         """Residuals (m, rows) of what is known, and their derivatives (m, rows, n)."""
         by = self.by_known[which]
         known = (by @ x[..., None])[..., 0] - self.known[which]
@@ -324,7 +322,7 @@ class ProblemStack:
             self._add_friction_direction(x, which, k, known, by, row)
         return known, by
 
-    def _add_friction_direction(self, x: Floats, which: Ints, k: int, known: Floats, by: Floats, row: int) -> None:
+    def _add_friction_direction(self, x: Array, which: Ints, k: int, known: Array, by: Array, row: int) -> None:
         """Add the residual and the derivatives of the direction of friction.
 
         A ball that rolled or rested returns towards its velocity before the hit, apart from the spin that the friction

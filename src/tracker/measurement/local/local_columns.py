@@ -16,15 +16,14 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from synthcam_shared.arrays import Array
 from tracker.measurement.collision.adequacy import CROWD
 from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES, VELOCITIES, LocalEstimate
 from tracker.measurement.local.recommendation import COMPARED, is_known, recommend
 from tracker.settings import FitSettings
 
-Floats = NDArray[np.float64]
 MIN_HITS = 8  # of a set, from which on its errors are fitted
 LEAST_PRIOR = 1e-4  # error of a velocity over that of the hit, where a setting says that there is none
 PRIOR_WIDTH = 1.0  # of the logarithm of the errors of a set, about those of its recordings alone
@@ -99,7 +98,7 @@ def make_local_columns(
     return row | apply_errors(row, LocalErrors(error_n=prior, error_t=prior))
 
 
-def _propagate_velocities(estimate: LocalEstimate) -> Floats:
+def _propagate_velocities(estimate: LocalEstimate) -> Array:
     """The part (n,) of the standard errors that velocities make; the rest is that of places, as the line of centres."""
     at = [LOCAL_NAMES.index(name) for name in VELOCITIES]
     response = np.nan_to_num(estimate.response[:, :8])
@@ -108,11 +107,11 @@ def _propagate_velocities(estimate: LocalEstimate) -> Floats:
     return np.asarray(np.sqrt(np.maximum(((response @ cov) * response).sum(axis=1), 0.0)))
 
 
-def _rounded(values: Floats) -> list[float | None]:
+def _rounded(values: Array) -> list[float | None]:
     return [float(f"{v:.9g}") if np.isfinite(v) else None for v in values]
 
 
-def _name_effects(shared: Mapping[str, tuple[float, Floats]]) -> dict[str, dict[str, Any]]:
+def _name_effects(shared: Mapping[str, tuple[float, Array]]) -> dict[str, dict[str, Any]]:
     """Errors that several hits share as JSON, by key: the value, and the effects of one standard error by quantity."""
     return {
         key: {"of": of, "effect": {n: v for n, v in zip(LOCAL_NAMES, _rounded(effect), strict=True) if v}}
@@ -164,7 +163,7 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
     return out | {"local_shared": json.dumps(shared, separators=(",", ":"))}
 
 
-def _split_variances(raw: Mapping[str, Any]) -> tuple[Floats, Floats]:
+def _split_variances(raw: Mapping[str, Any]) -> tuple[Array, Array]:
     """Split variances (n,) by residuals and camera into what the factor does not widen, and what it does.
 
     It widens the part that velocities make without the errors of the camera.
@@ -176,7 +175,7 @@ def _split_variances(raw: Mapping[str, Any]) -> tuple[Floats, Floats]:
     return std**2 - widened, widened
 
 
-def find_covariance(row: Mapping[str, Any]) -> Floats:
+def find_covariance(row: Mapping[str, Any]) -> Array:
     """Find the covariance (4, 4) of v0, b, r and s of a local estimate, with the errors beyond the residuals.
 
     The factor widens the errors, as in the columns, and leaves their correlations.
@@ -195,8 +194,8 @@ def find_covariance(row: Mapping[str, Any]) -> Floats:
 
 
 def _list_common_errors(
-    row: Mapping[str, Any], errors: LocalErrors, response: Floats, by_mass: Floats
-) -> dict[str, tuple[float, Floats]]:
+    row: Mapping[str, Any], errors: LocalErrors, response: Array, by_mass: Array
+) -> dict[str, tuple[float, Array]]:
     """The errors that all hits of a set have in common, by key: value, and effect (n,) of one standard error.
 
     They are the bias, which may be that of each velocity along n, and the ratio of the masses.
@@ -262,15 +261,15 @@ class _Balances(NamedTuple):
     balance is off by a third of the speed.
     """
 
-    off: Floats  # (hits, 2)
-    fixed: Floats  # (hits, 2) variances that no factor widens
-    widened: Floats  # (hits, 2) variances by the residuals of velocities
-    spread: Floats  # (hits, 2) of a balance by errors of each velocity as large as v0
-    v0: Floats  # (hits,)
+    off: Array  # (hits, 2)
+    fixed: Array  # (hits, 2) variances that no factor widens
+    widened: Array  # (hits, 2) variances by the residuals of velocities
+    spread: Array  # (hits, 2) of a balance by errors of each velocity as large as v0
+    v0: Array  # (hits,)
     usual: float  # logarithm of the errors over v0 that one recording is assumed to have
 
     @staticmethod
-    def of(found: Sequence[Mapping[str, Any]]) -> tuple[_Balances, Floats]:
+    def of(found: Sequence[Mapping[str, Any]]) -> tuple[_Balances, Array]:
         """Read the balances, and the derivative of those along n by the logarithm of the mass ratio."""
         at = [LOCAL_NAMES.index(name) for name in BALANCE]
         off = np.array([[raw["value"][k] for k in at] for raw in found])
@@ -282,11 +281,11 @@ class _Balances(NamedTuple):
         usual = float(np.log(max(np.median([raw["prior"] for raw in found]), LEAST_PRIOR)))
         return _Balances(off, fixed, widened, spread, v0, usual), response[:, 0, 8]
 
-    def find_variance(self, logs: Floats, excess: Floats | float) -> Floats:
+    def find_variance(self, logs: Array, excess: Array | float) -> Array:
         """Variances (..., hits, 2); logs: of both errors over v0; excess: of the errors of residuals, over them."""
         return np.asarray(self.fixed + (1 + excess**2) * self.widened + (np.exp(logs) * self.spread) ** 2)
 
-    def weigh(self, logs: Floats, excess: Floats, levers: Floats, lever_sizes: Floats) -> Floats:
+    def weigh(self, logs: Array, excess: Array, levers: Array, lever_sizes: Array) -> Array:
         """Logarithms (..., 2) of the probabilities of the balances along n and t, with those of what is known."""
         odd_share, odd_size = 0.05, 0.3
         var = self.find_variance(logs, excess)
@@ -296,10 +295,10 @@ class _Balances(NamedTuple):
         known = ((logs - self.usual) / PRIOR_WIDTH) ** 2 + (excess / USUAL_EXCESS) ** 2 / 2
         return np.asarray(likelihood - 0.5 * known[..., 0, :])
 
-    def fit(self, levers: Floats) -> tuple[Floats, float]:
+    def fit(self, levers: Array) -> tuple[Array, float]:
         """The likeliest sizes of the levers, and the negative logarithm of their probability."""
 
-        def price(x: Floats) -> float:
+        def price(x: Array) -> float:
             """x: logarithms of both errors, excess, and sizes of the levers."""
             return -float(self.weigh(x[None, :2], x[2:3], levers, x[3:]).sum())
 
@@ -314,7 +313,7 @@ class _Balances(NamedTuple):
         best = min(tries, key=lambda m: float(m.fun))
         return np.asarray(best.x[3:], dtype=np.float64), float(best.fun)
 
-    def average(self, levers: Floats, lever_sizes: Floats) -> tuple[Floats, float]:
+    def average(self, levers: Array, lever_sizes: Array) -> tuple[Array, float]:
         """The means of the logarithms of both errors, and the root mean square of the excess, over all that fit."""
         low, high = (self.usual + np.array([-self.usual, k, k]) for k in (-6 * PRIOR_WIDTH, 6 * PRIOR_WIDTH))
         high[0] = 4 * USUAL_EXCESS
@@ -335,7 +334,7 @@ class _Balances(NamedTuple):
         return (chance * grid).sum(axis=0)[1:], float(np.sqrt(chance[:, 0] @ grid[:, 0] ** 2))
 
 
-def _recoil_by_mass(rows: Sequence[Mapping[str, Any]], found: Sequence[Any], by_mass: Floats) -> list[Floats]:
+def _recoil_by_mass(rows: Sequence[Mapping[str, Any]], found: Sequence[Any], by_mass: Array) -> list[Array]:
     """The derivative of each balance along n by the logarithm of the mass ratio, if the ratio is to be fitted."""
     pairs = [(row.get("particle1", -1), row.get("particle2", -1)) for row in rows]
     strikers = [pair[1] for pair in pairs]

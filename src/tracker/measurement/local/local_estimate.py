@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.camera.camera import Camera
 from tracker.measurement.camera_errors import CameraError, WarpError, camera_errors
 from tracker.measurement.collision.adequacy import compute_p_value
@@ -30,7 +30,6 @@ from tracker.measurement.local.local_problem import LocalPriors, LocalSolution
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, cut_stretch
 from tracker.measurement.positions import measure_separation
 
-Floats = NDArray[np.float64]
 MIN_POSITIONS = 3  # of each stretch
 SIDES = ((1, False), (2, False), (1, True), (2, True))  # ball, whether after the contact
 VELOCITIES = ("v1ix", "v1iy", "v2ix", "v2iy", "v1ox", "v1oy", "v2ox", "v2oy")  # m/s, just before and after
@@ -50,9 +49,9 @@ class LocalEstimate:
     camera file that has an error, its value, and the effect (n,) of one standard error.
     """
 
-    value: Floats
-    cov: Floats
-    response: Floats
+    value: Array
+    cov: Array
+    response: Array
     normal_speed: float  # of approach, m/s
     chi2: float
     dof: float
@@ -60,10 +59,10 @@ class LocalEstimate:
     glides: bool
     unseen: frozenset[str]
     errors_known: bool  # whether the tracks claim errors of positions that their scatter does not contradict
-    shared: dict[str, tuple[float, Floats]] = field(default_factory=dict)
+    shared: dict[str, tuple[float, Array]] = field(default_factory=dict)
 
     @property
-    def std(self) -> Floats:
+    def std(self) -> Array:
         """Standard errors in the order of LOCAL_NAMES."""
         return np.sqrt(np.maximum(np.diag(self.cov), 0.0))
 
@@ -219,10 +218,10 @@ def _read_values(
 
 def _read_solutions(
     solutions: Sequence[LocalSolution], camera: Camera, masses: tuple[float, float]
-) -> list[tuple[Floats, Floats, Floats, Floats]]:
+) -> list[tuple[Array, Array, Array, Array]]:
     """Values of solutions of one hit, their covariances, responses, and effects (k, n) of errors of the camera file."""
     mass_step = 1e-4  # of the logarithm of the mass ratio, for derivatives
-    out = dict[int, tuple[Floats, Floats, Floats, Floats]]()
+    out = dict[int, tuple[Array, Array, Array, Array]]()
     numbers = sorted(range(len(solutions)), key=lambda i: solutions[i].problem.motions)
     for _, same in groupby(numbers, key=lambda i: solutions[i].problem.motions):
         own = list(same)  # quantities are computed at once: most of the time is that of numpy's calls
@@ -241,8 +240,8 @@ def _read_solutions(
 
 
 def _propagate_errors(
-    solution: LocalSolution, camera: Camera, value: Floats, slope: Floats, by_mass: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
+    solution: LocalSolution, camera: Camera, value: Array, slope: Array, by_mass: Array
+) -> tuple[Array, Array, Array, Array]:
     """Values of one solution with what follows from its errors, as of `_read_solutions`.
 
     slope: derivatives of the quantities by the parameters. by_mass: by the logarithm of the mass ratio.
@@ -272,7 +271,7 @@ def _list_errors(camera: Camera) -> list[CameraError]:
     return [error for error in camera_errors(camera) if error.key != "ball_diameter"]
 
 
-def _camera_shifts(solution: LocalSolution, camera: Camera) -> Iterator[Floats]:
+def _camera_shifts(solution: LocalSolution, camera: Camera) -> Iterator[Array]:
     """Iterate over the changes (n,) of the parameters by one error of the camera file."""
     x = solution.x
     scale, rate = np.zeros(len(x)), np.zeros(len(x))
@@ -311,7 +310,7 @@ def _list_unseen(solution: LocalSolution) -> list[str]:
     return out
 
 
-def _velocity(solution: LocalSolution, x: Floats, ball: int, after: bool) -> Floats:
+def _velocity(solution: LocalSolution, x: Array, ball: int, after: bool) -> Array:
     """Velocities (m, 2) at the contact, of parameters (m, n)."""
     problem = solution.problem
     k = problem.find_stretch(ball, after)
@@ -324,14 +323,14 @@ def _velocity(solution: LocalSolution, x: Floats, ball: int, after: bool) -> Flo
     return np.asarray(x[:, at + 2 : at + 4] - np.minimum(tau, problem.spans[k])[:, None] * pull)
 
 
-def _slide(solution: LocalSolution, x: Floats, k: int) -> tuple[Floats, Floats]:
+def _slide(solution: LocalSolution, x: Array, k: int) -> tuple[Array, Array]:
     """Duration (m,) of the slide with which a stretch begins, and the acceleration (m, 2) by it."""
     at = solution.problem.start[k]
     tau, size, angle = np.exp(x[:, at + 6]), np.exp(x[:, 5] + x[:, at + 4]) * GRAVITY, x[:, at + 5]
     return tau, size[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _quantities(solution: LocalSolution, x: Floats, masses: tuple[float, float]) -> Floats:
+def _quantities(solution: LocalSolution, x: Array, masses: tuple[float, float]) -> Array:
     """Quantities (m, 34) of parameters (m, n): those of each ball (`make_ball_average`) and the rest of LOCAL_NAMES."""
     problem, (m1, m2) = solution.problem, np.array(masses) / np.mean(masses)
     v1i, v2i, v1o, v2o = velocities = [_velocity(solution, x, ball, after) for ball, after in SIDES]

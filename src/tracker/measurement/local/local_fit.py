@@ -12,14 +12,13 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from synthcam_shared.arrays import Array, Flags
 from tracker.measurement.local.descents import Descent, FitInSteps
 from tracker.measurement.local.local_problem import LocalPriors, LocalProblem, LocalSolution
 from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch
 
-Floats = NDArray[np.float64]
 MAY_ROLL = ROLL, SLIDE_AND_ROLL, SLIDE  # motions of a striking ball before the contact
 MAX_RESIDUAL = 2.0  # rms residual of a window, in errors
 MAX_SOLUTIONS = 16  # that are averaged
@@ -32,7 +31,7 @@ ROUGH_GAIN = 0.01  # of the cost, with which a descent ends whose solution is so
 class StretchFit:
     """A fit of one stretch alone: its parameters, with the place at the contact."""
 
-    values: Floats
+    values: Array
     chi2: float  # by the claimed errors, with those that last, of the positions that are not beside the contact
     dof: float  # degrees of freedom of chi2
 
@@ -58,7 +57,7 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind) -> 
     return StretchFit(out, chi2, max(2 * int(counted.sum()) - motion.size, 1))
 
 
-def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats) -> tuple[Floats, Floats, Floats]:
+def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Array) -> tuple[Array, Array, Array]:
     """Fit a stretch with each duration (m,) of its slide: costs (m,), values (m, k, 2) and residuals (m, n, 2), m."""
     since = stretch.time - contact
     weight = 1 / stretch.std
@@ -87,7 +86,7 @@ def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Floats
     return np.asarray((left**2).sum(axis=(1, 2)) + known), np.asarray(fits), left / weight[:, None]
 
 
-def correlation_factor(left: Floats) -> float:
+def correlation_factor(left: Array) -> float:
     """Compute by how much correlated residuals (n, 2) raise the variances of a local fit."""
     if len(left) < 6:
         return 1.0
@@ -129,7 +128,7 @@ def guess_contact(stretches: Sequence[Stretch], contact: float) -> float:
     return contact + (top / bottom if bottom > 0 else 0.0)
 
 
-def _line(stretch: Stretch, contact: float) -> tuple[Floats, Floats]:
+def _line(stretch: Stretch, contact: float) -> tuple[Array, Array]:
     rows = slice(0, 6) if stretch.after else slice(-6, None)
     t, x = stretch.time[rows] - contact, stretch.position[rows]
     if len(t) < 2 or np.ptp(t) == 0:
@@ -176,7 +175,7 @@ def fit_motions(
             problem = LocalProblem(tuple(stretches), motions, priors, glide)
             x = np.zeros(problem.size)
             x[0], x[5], x[6] = contact, np.log(priors.friction), priors.loss
-            places: dict[int, list[Floats]] = {1: [], 2: []}
+            places: dict[int, list[Array]] = {1: [], 2: []}
             for k, (s, motion) in enumerate(zip(stretches, motions, strict=True)):
                 own = fit_single_stretch(s, contact, motion).values
                 if problem.slides_first(k):
@@ -202,7 +201,7 @@ def _try_other_starts(solution: LocalSolution) -> FitInSteps[LocalSolution]:
 
     A long roll with a large loss looks like a slide, so that there may be several minima.
     """
-    problem, starts = solution.problem, list[Floats]()
+    problem, starts = solution.problem, list[Array]()
     for k, motion in enumerate(problem.motions):
         if motion.ends and not problem.stretches[k].after and not solution.is_good:
             for share in (0.2, 0.5, 0.8):
@@ -345,7 +344,7 @@ def _solve_with_durations(
     middle of a wide cell it may start so far off that it ends in vain. Before a contact it starts with the same slide,
     so velocity and position at the contact change with the duration of the roll.
     """
-    problems, starts, logs = list[LocalProblem](), list[Floats](), list[float]()
+    problems, starts, logs = list[LocalProblem](), list[Array](), list[float]()
     for log, one in parts:
         for cell in cells:
             problems.append(replace(one.problem, slides={**one.problem.slides, k: (cell.lasts, cell.error)}))
@@ -376,7 +375,7 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
     first = max(float(since.min()), 1e-5)
     last = max(float(since.max()), 1.01 * first)
 
-    def fits(lasts: Floats) -> NDArray[np.bool_]:
+    def fits(lasts: Array) -> Flags:
         motion, size = solution.problem.motions[k], solution.sizes[k]
         costs = _fit_each(stretch, float(solution.x[0]), motion, np.append(lasts, least))[0] / size**2
         return np.asarray(costs[: len(lasts)] < costs.min() + MAX_COST)

@@ -14,12 +14,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Flags
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.stretches import MotionKind, Stretch
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,7 @@ class LocalProblem:
         """What problems must have in common to be solved together: motions, and the side that each stretch shows."""
         return (self.motions, self.glide, tuple((s.ball, s.after) for s in self.stretches))
 
-    def values(self, x: Floats, k: int, span: Floats | None = None) -> Floats:
+    def values(self, x: Array, k: int, span: Array | None = None) -> Array:
         """The parameters (..., size) of a stretch, with its place at the contact, of all parameters (..., n).
 
         span: duration of the stretch in each of m problems of the same form, s.
@@ -108,12 +106,12 @@ class LocalProblem:
         return slice(1, 3) if self.stretches[k].ball == 1 else slice(3, 5)
 
     @cached_property
-    def counted(self) -> NDArray[np.bool_]:
+    def counted(self) -> Flags:
         """Tell which coordinates (2n,) show the size of the errors: not those beside the contact."""
         return np.concatenate([np.repeat(~s.near, 2) for s in self.stretches])
 
     @cached_property
-    def known(self) -> tuple[Floats, Floats]:
+    def known(self) -> tuple[Array, Array]:
         """Prior knowledge as equations with errors of one: values, and matrix of the parameters.
 
         The first rows, of the distance and of the directions of friction, are not linear; they are zero here.
@@ -168,11 +166,11 @@ class LocalSolution:
     """
 
     problem: LocalProblem
-    x: Floats
-    cov: Floats
+    x: Array
+    cov: Array
     sizes: tuple[float, ...]  # of the errors of each stretch, over the claimed ones
-    residual: Floats  # (2n,) of all positions
-    freedom: Floats  # (2n,) degrees of freedom of each residual
+    residual: Array  # (2n,) of all positions
+    freedom: Array  # (2n,) degrees of freedom of each residual
     cost: float  # chi^2 with what is known
     cost_of_known: float
     log_volume: float  # logarithm of the volume of the errors: half that of the determinant of cov

@@ -17,13 +17,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.noise.whitening import PositionWhitener
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import CUTTER, measure_path_noise
 
-Floats = NDArray[np.float64]
 MAX_POSITIONS = 45  # of a stretch; more are averaged in groups
 NEAR_ERRORS = 4.0  # factor on the errors of positions beside the contact
 KEPT_POSITIONS = 25  # of these, next to the contact, which are not averaged
@@ -36,11 +35,11 @@ class Stretch:
 
     ball: int  # 1: struck, 2: striker
     after: bool
-    time: Floats  # (n,) s
-    position: Floats  # (n, 2) m
-    cov: Floats  # (n, 2, 2) m^2; positions beside the contact have NEAR_ERRORS times their errors
-    fixed: Floats  # (n, 2, 2) the part of it that lasts, as of a `BallTrack`
-    near: NDArray[np.bool_]  # (n,) whether beside the contact, where trackers and bodies are less regular
+    time: Array  # (n,) s
+    position: Array  # (n, 2) m
+    cov: Array  # (n, 2, 2) m^2; positions beside the contact have NEAR_ERRORS times their errors
+    fixed: Array  # (n, 2, 2) the part of it that lasts, as of a `BallTrack`
+    near: Flags  # (n,) whether beside the contact, where trackers and bodies are less regular
     width: float = 0.0  # as of a `BallTrack`, and so are `drifts`
     drifts: tuple[tuple[float, float], ...] = ()
 
@@ -48,7 +47,7 @@ class Stretch:
         return len(self.time)
 
     @cached_property
-    def std(self) -> Floats:
+    def std(self) -> Array:
         """Root mean square error (n,) of both coordinates, m."""
         return np.asarray(np.sqrt(np.trace(self.cov, axis1=1, axis2=2) / 2))
 
@@ -62,7 +61,7 @@ class Stretch:
         """The same stretch, without the positions beside the contact."""
         return self.where(~self.near)
 
-    def where(self, rows: NDArray[np.bool_]) -> Stretch:
+    def where(self, rows: Flags) -> Stretch:
         """The same stretch, only those rows."""
         names = ("time", "position", "cov", "fixed", "near")
         return self if rows.all() else replace(self, **{name: getattr(self, name)[rows] for name in names})
@@ -122,11 +121,11 @@ def cut_stretch(
     return _average(whole, group if after else group.max() - group)
 
 
-def _average(whole: Stretch, group: NDArray[np.int64]) -> Stretch:
+def _average(whole: Stretch, group: Ints) -> Stretch:
     """Average the positions of each group (n,) of neighbours; `fixed` errors average only while a body moves on."""
     count = np.bincount(group)
 
-    def mean(values: Floats) -> Floats:
+    def mean(values: Array) -> Array:
         sums = [np.bincount(group, column) for column in values.reshape(len(group), -1).T]
         return np.asarray((np.stack(sums, axis=-1) / count[:, None]).reshape(len(count), *values.shape[1:]))
 
@@ -143,15 +142,13 @@ def _average(whole: Stretch, group: NDArray[np.int64]) -> Stretch:
     return replace(whole, time=time, position=position, cov=own + fixed, fixed=fixed, near=near)
 
 
-def _share_that_lasts(position: Floats, width: float) -> float:
+def _share_that_lasts(position: Array, width: float) -> float:
     """Share of the variance of an error that a pixel pattern makes, in the mean of neighbouring positions (n, 2)."""
     apart = ((position[:, None] - position[None]) ** 2).sum(axis=-1)
     return float(np.exp(-apart / (4 * width**2)).mean())
 
 
-def _end_at_contact(
-    track: BallTrack, rows: NDArray[np.int64], near: NDArray[np.bool_], after: bool, frame_s: float
-) -> NDArray[np.int64]:
+def _end_at_contact(track: BallTrack, rows: Ints, near: Flags, after: bool, frame_s: float) -> Ints:
     """The rows up to the next contact, or back to the one before."""
     free = rows[~near]
     if len(free) < 2:
@@ -170,7 +167,7 @@ def _end_at_contact(
     return np.asarray(rows[rows <= ends] if after else rows[rows >= ends])
 
 
-def evaluate_path(motion: MotionKind, values: Floats, since: Floats, after: bool) -> tuple[Floats, Floats]:
+def evaluate_path(motion: MotionKind, values: Array, since: Array, after: bool) -> tuple[Array, Array]:
     """Evaluate the paths of a stretch at times (..., n) since the contact, for values (..., size) of its parameters.
 
     Returns positions (..., n, 2) and derivatives (..., size + 1, n, 2); the last is that by the instant of the contact.

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtr, chdtri
 
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.noise.whitening import position_covariance
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 WINDOW_FRAMES, POLYNOMIAL_ORDER = 7, 3  # consecutive frames, order of the polynomial
 DOF_PER_AXIS = WINDOW_FRAMES - POLYNOMIAL_ORDER - 1  # degrees of freedom per axis
 DOF_PER_WINDOW = 2 * DOF_PER_AXIS  # degrees of freedom of a window, both axes
@@ -29,11 +27,11 @@ class BallNoise(Protocol):
     @property
     def frame(self) -> Ints: ...
     @property
-    def position(self) -> Floats: ...
+    def position(self) -> Array: ...
     @property
-    def cov(self) -> Floats: ...
+    def cov(self) -> Array: ...
     @property
-    def fixed(self) -> Floats: ...
+    def fixed(self) -> Array: ...
     @property
     def width(self) -> float: ...
     @property
@@ -93,13 +91,13 @@ def share_seen_by_scatter(rho: float) -> float:
     return float(np.trace(over.T @ rho**lag @ over)) / DOF_PER_AXIS
 
 
-def _residual_basis() -> Floats:
+def _residual_basis() -> Array:
     """Orthonormal basis (WINDOW_FRAMES, DOF_PER_AXIS) of what a cubic leaves in a window."""
     cubics = np.vander(np.linspace(-1, 1, WINDOW_FRAMES), POLYNOMIAL_ORDER + 1)
     return np.linalg.qr(cubics, mode="complete")[0][:, POLYNOMIAL_ORDER + 1 :]
 
 
-def _windows(course: BallNoise) -> tuple[Ints, Floats, NDArray[np.bool_]]:
+def _windows(course: BallNoise) -> tuple[Ints, Array, Flags]:
     """First frames (m,) of all whole windows; chi^2 of their residuals (m,); whether the ball moved there (m,).
 
     A ball counts as moving if it covers three widths of a glint. A window in which a position is only repeated shows
@@ -123,7 +121,7 @@ def _windows(course: BallNoise) -> tuple[Ints, Floats, NDArray[np.bool_]]:
     return course.frame[:count][whole], left[whole], moved[whole]
 
 
-def _spread(course: BallNoise, windows: slice, over: Floats) -> Floats:
+def _spread(course: BallNoise, windows: slice, over: Array) -> Array:
     """Expected covariances (k, DOF, DOF) of the residuals from cubics, axis by axis."""
     k = windows.stop - windows.start
     rows = slice(windows.start, windows.stop + WINDOW_FRAMES - 1)

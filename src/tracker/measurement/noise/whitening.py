@@ -13,11 +13,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from synthcam_shared.arrays import inverse_roots
-
-Floats = NDArray[np.float64]
+from synthcam_shared.arrays import Array, Flags, Ints, inverse_roots
 
 
 class PositionWhitener:
@@ -27,13 +24,13 @@ class PositionWhitener:
     """
 
     def __init__(
-        self, position: Floats, cov: Floats, fixed: Floats, width: float,
-        frame: NDArray[np.int64] | None = None, rho: float = 0.0,
+        self, position: Array, cov: Array, fixed: Array, width: float,
+        frame: Ints | None = None, rho: float = 0.0,
         drifts: Sequence[tuple[float, float]] = (),
     ) -> None:  # fmt: skip
         """The arguments are attributes of a `positions.BallTrack`."""
         self.alone = inverse_roots(cov) if len(cov) else cov
-        self.blocks: list[tuple[slice, Floats]] = []
+        self.blocks: list[tuple[slice, Array]] = []
         if width > 0 and len(cov) and fixed.any():
             step = np.hypot(*np.diff(position, axis=0).T)
             # five widths apart, shifts correlate by less than 0.002
@@ -44,7 +41,7 @@ class PositionWhitener:
                 self.blocks.append((rows, _lower_root(whole)))
         self.kept = None if frame is None or rho == 0 else rho ** np.diff(frame)
 
-    def __call__(self, errors: Floats) -> Floats:
+    def __call__(self, errors: Array) -> Array:
         """errors (..., n, 2) -> (..., 2n)."""
         root, out = self.alone, np.empty(errors.shape)
         out[..., 0] = root[:, 0, 0] * errors[..., 0]
@@ -56,20 +53,20 @@ class PositionWhitener:
             out[..., part] = _product(whole, block.T).T.reshape(*errors.shape[:-2], -1)
         return out if self.kept is None else compute_innovations(out, self.kept)
 
-    def distance(self, errors: Floats) -> Floats:
+    def distance(self, errors: Array) -> Array:
         """(..., n) squared Mahalanobis distance of each position by itself, errors (..., n, 2)."""
         root, x, y = self.alone, errors[..., 0], errors[..., 1]
         return np.asarray((root[:, 0, 0] * x) ** 2 + (root[:, 1, 0] * x + root[:, 1, 1] * y) ** 2)
 
 
-def compute_innovations(errors: Floats, kept: Floats) -> Floats:
+def compute_innovations(errors: Array, kept: Array) -> Array:
     """Whiten errors (..., 2n) that keep a share (n - 1,) of the previous row: innovations (..., 2n) of unit size."""
     rows = errors.reshape(*errors.shape[:-1], -1, 2)
     new = (rows[..., 1:, :] - kept[:, None] * rows[..., :-1, :]) / np.sqrt(1 - kept**2)[:, None]
     return np.concatenate([rows[..., :1, :], new], axis=-2).reshape(errors.shape)
 
 
-def _split_stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _split_stretches(breaks: Flags) -> list[tuple[int, int]]:
     """(first, beyond last) of the stretches of two or more rows between breaks, none longer than 200."""
     edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(breaks) + 1]
     parts = [(k, min(k + 200, last)) for first, last in pairwise(edges) for k in range(first, last, 200)]
@@ -77,8 +74,8 @@ def _split_stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def position_covariance(
-    position: Floats, cov: Floats, fixed: Floats, width: float, drifts: Sequence[tuple[float, float]] = ()
-) -> Floats:
+    position: Array, cov: Array, fixed: Array, width: float, drifts: Sequence[tuple[float, float]] = ()
+) -> Array:
     """Compute the full covariance (2n, 2n), m^2, of a ball's positions (n, 2); arguments as for `PositionWhitener`."""
     n = len(position)
     if drifts:
@@ -111,7 +108,7 @@ def position_covariance(
     return np.asarray(shared, dtype=np.float64)
 
 
-def _lower_root(cov: Floats) -> Floats:
+def _lower_root(cov: Array) -> Array:
     """`inverse_roots` of one matrix, by halves down to 24 rows: small products stay on one core."""
     half = len(cov) // 2
     if half < 24:
@@ -124,7 +121,7 @@ def _lower_root(cov: Floats) -> Floats:
     return out
 
 
-def _product(a: Floats, b: Floats) -> Floats:
+def _product(a: Array, b: Array) -> Array:
     """a @ b, a few rows at a time: beyond 2^17 multiplications the linear algebra library would take all cores."""
     rows = max(1, 2**17 // b.size)
     return np.concatenate([a[k : k + rows] @ b for k in range(0, len(a), rows)])
