@@ -24,6 +24,7 @@ from typing import TypeVar
 from synthcam_shared.errors import InputError
 from synthcam_shared.interruption import hold_ctrl_c, raise_if_interrupted
 from synthcam_shared.job_result import JobValue, LostJob
+from synthcam_shared.start import defer_garbage_collection, skip_teardown
 
 T = TypeVar("T")
 Progress = Callable[[int, int], None]  # takes the jobs done and the jobs in all
@@ -229,6 +230,8 @@ def _run_in_processes(
 def _serve(pipe: Connection) -> None:
     """Take the work, then answer the numbers that come through the pipe, until there is none or the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    defer_garbage_collection()
+    end_at_once = skip_teardown()
     # Without this, workers of a killed parent would wait for ever, or write into the folder of the next run.
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
@@ -236,9 +239,10 @@ def _serve(pipe: Connection) -> None:
         while True:
             pipe.send((work(pipe.recv()), None))
     except (EOFError, BrokenPipeError):
-        return
+        pass
     except Exception as error:
         pipe.send((None, error))
+    end_at_once(0)
 
 
 def _end_with_parent() -> None:
