@@ -392,14 +392,14 @@ def calibrate(
     Example: tracker calibrate film.mp4 --points corners.csv --diameter 0.0525 --fps 240 -o camera.json
     """
     from tracker.calibration.calibrate import calibrate as calibrate_camera
-    from tracker.calibration.calibrate import check_output, summarise_calibration
+    from tracker.calibration.calibrate import check_output, summarise_calibration, write_camera_file
 
     check_output(output)
     if points is not None or board:
         from tracker.calibration.plate_camera import calibrate_plate
 
         plate = calibrate_plate(video, (diameter, fps, exposure, gamma), points, board, error, height)
-        plate.write(output)
+        write_camera_file(output, plate.to_dict())
         _print_answer({"camera": str(output), **plate.to_dict()}, plate.summary(), output, as_json)
         return
     if error is not None or height is not None:
@@ -424,13 +424,13 @@ def warp(
 
     Example: tracker warp out/results -o camera.json
     """
-    from tracker.calibration.calibrate import check_output
+    from tracker.calibration.calibrate import check_output, write_camera_file
     from tracker.calibration.camera_warp import find_camera_warp
 
     check_output(output)
     with progress_bar("warp") as progress:
         found = find_camera_warp(results, progress)
-    found.write(output)
+    write_camera_file(output, found.to_dict())
     _print_answer({"camera": str(output), **found.to_dict()["calibration"]["warp"]}, found.summary(), output, as_json)
 
 

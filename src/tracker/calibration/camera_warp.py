@@ -8,12 +8,11 @@ accepted only if it predicts the stretches of recordings that were left out.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,6 @@ from scipy.special import stdtr
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
-from synthcam_shared.outputs import as_input_error, write_atomically
 from tracker.calibration.free_stretches import FreeStretch, FrictionPrior, find_free_stretches, fit_stretch
 from tracker.camera.camera import Camera
 from tracker.camera.warp import Warp
@@ -84,29 +82,17 @@ class SplineField:
         return np.asarray(whole * size**4 / len(at))
 
 
-class _NormalEquations:
+class _NormalEquations(NamedTuple):
     """Sums over stretches, beside their own motion: the least squares problem of the displacements."""
 
-    def __init__(self, size: int) -> None:
-        self.matrix, self.vector, self.square, self.dof = np.zeros((size, size)), np.zeros(size), 0.0, 0
-
-    def add(self, stretch: FreeStretch, field: SplineField, constraint: Floats) -> None:
-        """Add a stretch; its residuals are those of positions before the correction, in standard errors."""
-        basis, residual = field.basis(stretch.position) / stretch.std[:, None], stretch.residual
-        columns = stretch.project(np.concatenate([basis @ part for part in np.split(constraint, 2)]))
-        self.matrix += columns.T @ columns
-        self.vector -= columns.T @ residual
-        self.square += float(residual @ residual)
-        self.dof += stretch.dof
+    matrix: Any
+    vector: Any
+    square: Any
+    dof: int
 
     @staticmethod
     def total(parts: Sequence[_NormalEquations]) -> _NormalEquations:
-        """The sums over several."""
-        out = _NormalEquations(len(parts[0].vector))
-        for one in parts:
-            out.matrix, out.vector = out.matrix + one.matrix, out.vector + one.vector
-            out.square, out.dof = out.square + one.square, out.dof + one.dof
-        return out
+        return _NormalEquations(*(sum(values) for values in zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,100 +104,64 @@ class _Posterior:
     smoothness: float
 
 
-def _solve(sums: _NormalEquations, prior: Floats, smoothness: float | None = None) -> _Posterior:
-    """The displacements at the smoothness of the largest marginal likelihood, or at a given one."""
-    size, axes = eigh(sums.matrix, prior)
-    size, pull = np.maximum(size, 0.0), axes.T @ sums.vector
-    ratios = size.max() * SMOOTHNESS if smoothness is None else np.array([smoothness])
-    left = sums.square - (pull**2 / (size + ratios[:, None])).sum(axis=1)
-    evidence = -sums.dof * np.log(left) - np.log1p(size / ratios[:, None]).sum(axis=1)
-    best = int(np.argmax(evidence))
-    shrunk = size + ratios[best]
-    root = axes * np.sqrt(left[best] / sums.dof / shrunk)
-    return _Posterior(axes @ (pull / shrunk), root, float(ratios[best]))
-
-
 @dataclass(frozen=True, eq=False)
 class CameraWarp:
-    """A correction of a camera's map that predicts stretches which were left out.
-
-    recordings, stretches, positions: how many were used. rms_before, rms_after: of the residuals of stretches that were
-    left out, m. p_value: of the gain. size: rms of the displacements at the positions, m. error: standard error of a
-    displacement along either axis there, m. certain: share of the square of the displacements that is not error.
-    halves: correlation of the maps of two halves of the data.
-    """
+    """A correction of a camera's map that predicts stretches which were left out."""
 
     camera: Camera
-    recordings: int
+    recordings: int  # how many were used
     stretches: int
     positions: int
-    rms_before: float
+    rms_before: float  # of the residuals of stretches that were left out, m
     rms_after: float
-    p_value: float
-    size: float
-    error: float
-    certain: float
-    halves: float
+    p_value: float  # of the gain
+    size: float  # rms of the displacements at the positions, m
+    error: float  # standard error of a displacement along either axis there, m
+    certain: float  # share of the square of the displacements that is not error
+    halves: float  # correlation of the maps of two halves of the data
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of camera.json, with those of the fit under `calibration`."""
         fit = {key: value for key, value in vars(self).items() if key != "camera"}
         return {**self.camera.to_dict(), "calibration": {"warp": fit}}
 
-    def write(self, output: Path) -> None:
-        """Write camera.json."""
-        with as_input_error(output):
-            write_atomically(output, json.dumps(self.to_dict(), indent=1) + "\n")
-
     def summary(self) -> list[str]:
         """Lines for a terminal."""
-        scale, warp = 1e3, self.camera.warp
-        lines = [
+        warp = self.camera.warp
+        assert warp is not None
+        shared = float(np.sqrt(self.error**2 - warp.std**2))
+        return [
             f"{self.positions} positions in {self.stretches} free stretches of {self.recordings} recordings",
-            f"rms of residuals on held-out stretches: {scale * self.rms_before:.4g} mm, with the warp "
-            f"{scale * self.rms_after:.4g} mm (p {self.p_value:.2g})",
-            f"displacements: {scale * self.size:.4g} mm rms, {100 * self.certain:.0f} % of their square is certain; "
+            f"rms of residuals on held-out stretches: {1e3 * self.rms_before:.4g} mm, with the warp "
+            f"{1e3 * self.rms_after:.4g} mm (p {self.p_value:.2g})",
+            f"displacements: {1e3 * self.size:.4g} mm rms, {100 * self.certain:.0f} % of their square is certain; "
             f"maps of two halves of the data correlate by {self.halves:.2f}",
+            f"the map has an error of {1e3 * self.error:.3g} mm along either axis: {1e3 * shared:.3g} mm in "
+            f"{len(warp.errors)} maps that all recordings share, and {1e3 * warp.std:.3g} mm that lasts over "
+            f"{1e3 * warp.length:.3g} mm of a path",
         ]
-        if warp is not None:
-            shared = float(np.sqrt(self.error**2 - warp.std**2))
-            lines.append(
-                f"the map has an error of {scale * self.error:.3g} mm along either axis: {scale * shared:.3g} mm in "
-                f"{len(warp.errors)} maps that all recordings share, and {scale * warp.std:.3g} mm that lasts over "
-                f"{scale * warp.length:.3g} mm of a path"
-            )
-        return lines
 
 
 def find_camera_warp(results: Sequence[Path], progress: Progress) -> CameraWarp:
     """Fit a warp to the free stretches of results of one camera. Raises InputError where they show none."""
-    camera, recordings = _read_stretches(results, progress)
-    return fit_camera_warp(camera, recordings, progress)
-
-
-def _read_stretches(results: Sequence[Path], progress: Progress) -> tuple[Camera, list[list[FreeStretch]]]:
     clips = [(folder, file) for folder in results for file in sorted((folder / "clips").glob("[0-9]*/tracks.parquet"))]
     for folder in results:
         if not any(one == folder for one, _ in clips):
             raise InputError(f"{folder}: no clips/ with tracks in it, expected RESULTS, as tracker track makes them")
-    first: Camera | None = None
-    recordings = []
+    recordings, cameras = [], list[Camera]()
     for done, (folder, file) in enumerate(clips):
         progress(done, len(clips))
         tracks, camera = read_clip(folder, int(file.parent.name))
-        camera = replace(camera, warp=None)
-        if first is None:
-            first = camera
-            if not camera.metric:
-                raise InputError(f"{folder}: no scale, expected results of a camera file")
+        cameras.append(camera := replace(camera, warp=None))
+        if not cameras[0].metric:
+            raise InputError(f"{folder}: no scale, expected results of a camera file")
         one, other = (
-            np.concatenate([c.K.ravel(), c.dist, c.R.ravel(), c.t, [c.scale], c.size]) for c in (first, camera)
+            np.concatenate([c.K.ravel(), c.dist, c.R.ravel(), c.t, [c.scale], c.size]) for c in (cameras[0], camera)
         )
         if not np.array_equal(one, other):
             raise InputError(f"{folder}: clip {file.parent.name}: another camera, expected results of one camera")
         recordings.append(find_free_stretches(to_ball_tracks(tracks, camera), camera.ball_diameter))
-    assert first is not None
-    return replace(first, exposure_from_blur=None), recordings
+    return fit_camera_warp(replace(cameras[0], exposure_from_blur=None), recordings, progress)
 
 
 def fit_camera_warp(
@@ -277,42 +227,57 @@ class _WarpProblem:
 
     @staticmethod
     def of(groups: Sequence[Sequence[FreeStretch]]) -> _WarpProblem:
-        position = np.concatenate([stretch.position for group in groups for stretch in group])
+        stretches = [stretch for group in groups for stretch in group]
+        position = np.concatenate([stretch.position for stretch in stretches])
         field = SplineField.over(position)
         constraint, rough = _affine_free(field, position), field.roughness()
-        one, other = np.split(constraint, 2)
-        friction = FrictionPrior.of([stretch for group in groups for stretch in group])
-        return _WarpProblem(groups, field, constraint, one.T @ rough @ one + other.T @ rough @ other, friction)
+        prior = sum(part.T @ rough @ part for part in np.split(constraint, 2))
+        return _WarpProblem(groups, field, constraint, np.asarray(prior), FrictionPrior.of(stretches))
+
+    @property
+    def stretches(self) -> list[FreeStretch]:
+        return [stretch for group in self.groups for stretch in group]
 
     @cached_property
     def sums(self) -> list[_NormalEquations]:
-        """The sums of each fold."""
-        folds = [_NormalEquations(len(self.prior)) for _ in range(VALIDATION_FOLDS)]
+        """The sums of each fold, as far as there are groups for it."""
+        folds = [list[_NormalEquations]() for _ in range(VALIDATION_FOLDS)]
         for number, group in enumerate(self.groups):
-            for stretch in group:
-                folds[number % VALIDATION_FOLDS].add(stretch, self.field, self.constraint)
-        return folds
+            folds[number % VALIDATION_FOLDS] += map(self._sum_stretch, group)
+        return [_NormalEquations.total(parts) for parts in folds if parts]
+
+    def _sum_stretch(self, stretch: FreeStretch) -> _NormalEquations:
+        """The sums over one stretch; its residuals are those of positions before the correction."""
+        basis, residual = self.field.basis(stretch.position) / stretch.std[:, None], stretch.residual
+        columns = stretch.project(np.concatenate([basis @ part for part in np.split(self.constraint, 2)]))
+        return _NormalEquations(columns.T @ columns, -columns.T @ residual, residual @ residual, stretch.dof)
 
     def solve(self, half: int | None = None, smoothness: float | None = None) -> _Posterior:
-        """The displacements by all folds, or by every second."""
-        used = self.sums if half is None else self.sums[half::2]
-        return _solve(_NormalEquations.total(used), self.prior, smoothness)
+        """The displacements by all folds, or by every second; at the smoothness of the largest marginal likelihood."""
+        sums = _NormalEquations.total(self.sums if half is None else self.sums[half::2])
+        size, axes = eigh(sums.matrix, self.prior)
+        size, pull = np.maximum(size, 0.0), axes.T @ sums.vector
+        ratios = size.max() * SMOOTHNESS if smoothness is None else np.array([smoothness])
+        left = sums.square - (pull**2 / (size + ratios[:, None])).sum(axis=1)
+        evidence = -sums.dof * np.log(left) - np.log1p(size / ratios[:, None]).sum(axis=1)
+        best = int(np.argmax(evidence))
+        shrunk = size + ratios[best]
+        root = axes * np.sqrt(left[best] / sums.dof / shrunk)
+        return _Posterior(axes @ (pull / shrunk), root, float(ratios[best]))
 
     def repeat_at(self, mean: Floats, progress: Progress = lambda done, of: None) -> _WarpProblem:
         """The problem about these displacements, with a prior of friction as the corrected stretches show it."""
-        shifts = [[self._shift(stretch.position, mean) for stretch in group] for group in self.groups]
-        pairs = [list(zip(*both, strict=True)) for both in zip(self.groups, shifts, strict=True)]
-        friction = FrictionPrior.of([stretch.fit_again(shift) for group in pairs for stretch, shift in group])
+        friction = FrictionPrior.of([one.fit_again(self._shift(one.position, mean)) for one in self.stretches])
         groups = []
-        for number, group in enumerate(pairs):
-            progress(number, len(pairs))
-            groups.append([stretch.fit_again(shift, friction) for stretch, shift in group])
+        for number, group in enumerate(self.groups):
+            progress(number, len(self.groups))
+            groups.append([one.fit_again(self._shift(one.position, mean), friction) for one in group])
         return replace(self, groups=groups, friction=friction)
 
     def without(self, fold: int) -> _WarpProblem:
         """The problem of the other folds alone, with their friction."""
-        groups = [group for number, group in enumerate(self.groups) if number % VALIDATION_FOLDS != fold]
-        return replace(self, groups=groups, friction=FrictionPrior.of([one for group in groups for one in group]))
+        rest = replace(self, groups=[one for k, one in enumerate(self.groups) if k % VALIDATION_FOLDS != fold])
+        return replace(rest, friction=FrictionPrior.of(rest.stretches))
 
     def test_on_held_out(self, progress: Progress) -> tuple[float, float, float]:
         """The rms of residuals of groups that were left out, m, without and with a correction; p-value of the gain.
@@ -335,15 +300,14 @@ class _WarpProblem:
                     total, left, gain = total + before, left + after, gain + before - after
                 gains.append(gain)
         error = np.std(gains, ddof=1) / np.sqrt(len(gains))
-        noise = float(np.median(np.concatenate([stretch.std for group in self.groups for stretch in group])))
-        dof = _NormalEquations.total(self.sums).dof
+        noise = float(np.median(np.concatenate([stretch.std for stretch in self.stretches])))
+        dof = sum(stretch.dof for stretch in self.stretches)
         before, after = (noise * float(np.sqrt(square / dof)) for square in (total, left))
         return before, after, float(stdtr(len(gains) - 1, -np.mean(gains) / max(error, 1e-300)))
 
     def displace(self, coefficients: Floats) -> Floats:
         """Displacements (n, 2, ...) of all positions by coefficients (p, ...)."""
-        position = np.concatenate([stretch.position for group in self.groups for stretch in group])
-        return self._shift(position, coefficients)
+        return self._shift(np.concatenate([stretch.position for stretch in self.stretches]), coefficients)
 
     def _shift(self, position: Floats, coefficients: Floats) -> Floats:
         basis = self.field.basis(position)
@@ -366,11 +330,11 @@ class _WarpProblem:
         at = np.stack(np.meshgrid(*self._knots), axis=-1)
         return np.moveaxis(self._shift(at.reshape(-1, 2), coefficients).reshape(at.shape), -1, 0)
 
-    def split_error(self, root: Floats, *, share: float = 0.9, most: int = 12) -> tuple[Floats, float]:
+    def split_error(self, root: Floats) -> tuple[Floats, float]:
         """Split the error of the displacements into its largest principal components and a rest.
 
-        Each component is a map of one independent standard error. Together they hold `share` of the variance at the
-        positions, unless that needs more than `most`. The rest varies over a way as short as the field can.
+        Each component is a map of one independent standard error. Together they hold 90 % of the variance at the
+        positions, unless that needs more than 12. The rest varies over a way as short as the field can.
 
         root: (p, p), of the covariance of the coefficients. Returns the maps at the knots (k, 2, n, m), rounded to a
         nanometre, and the standard error of the rest along either axis, m.
@@ -379,7 +343,7 @@ class _WarpProblem:
         size, axes = np.linalg.eigh(error.T @ error / len(error))
         size, axes = np.maximum(size[::-1], 0.0), axes[:, ::-1]
         left = 1 - np.cumsum(size) / size.sum()
-        count = min(int(np.sum(left > 1 - share)) + 1, most, len(size) - 1)
+        count = min(int(np.sum(left > 1 - 0.9)) + 1, 12, len(size) - 1)
         maps = [self._shift_knots(root @ axes[:, k]).round(9) for k in range(count)]
         return np.stack(maps), float(np.sqrt(size[count:].sum()))
 
