@@ -47,7 +47,11 @@ def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, si
     # a rival must be worse by 30 in chi^2
     if rivals and min(rivals) - best.cost < 15.0 * max(1.0, 2.0 * best.cost / freedom):
         return None
-    if not inside or not std < radius / 20.0 or not _is_ball_needed(picture, weight, best.cost, freedom):
+    # without a ball, on mere ground, chi^2 must be clearly larger
+    used, excess = weight > 0, 60.0 * max(1.0, 2.0 * best.cost / freedom)
+    ground = np.average(picture[used], weights=weight[used] ** 2)
+    empty = float(np.sum((picture[used] * weight[used] - weight[used] * ground) ** 2))
+    if not inside or not std < radius / 20.0 or not empty - 2.0 * best.cost > excess:
         return None
     # 1 % of the radius: rooms are uneven, and balls are not ideal mirrors
     return OutlineRadius(radius, math.hypot(std, 0.01 * radius))
@@ -111,11 +115,3 @@ def _parts(radius: float, x: float, y: float, blur: float) -> Array:
     ramp = blur * (z * ndtr(z) + np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))
     bowl = ramp * (2.0 * rim - np.minimum(ramp, rim)) * 2.0 / radius**2
     return np.stack([disc, bowl, np.ones_like(disc)], axis=-1)
-
-
-def _is_ball_needed(picture: Array, weight: Array, cost: float, freedom: int) -> bool:
-    """Test whether there is anything but ground: chi^2 without a ball is clearly larger."""
-    used = weight > 0
-    flat = picture[used] * weight[used]
-    empty = float(np.sum((flat - weight[used] * np.average(picture[used], weights=weight[used] ** 2)) ** 2))
-    return empty - 2.0 * cost > 60.0 * max(1.0, 2.0 * cost / freedom)

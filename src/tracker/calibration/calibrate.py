@@ -13,18 +13,35 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.jobs import Progress, run_all_jobs
+from synthcam_shared.jobs import Progress, run_all_jobs, use_one_thread
 from synthcam_shared.outputs import as_input_error, check_writable
-from tracker.calibration.survey import BallSighting, survey_sizes, without_scale
+from tracker.calibration.ball_outline import measure_outline
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.camera.film_options import FilmOptions
-from tracker.camera.recordings import make_recording, open_source
+from tracker.camera.frames import GREY
+from tracker.camera.recordings import Recording, RecordingSource, make_recording, open_source
 from tracker.detection.choose import DISCS, GLINTS, choose_detector, select_channel
+from tracker.detection.contact_distance import ContactDistance, contact_distances
+from tracker.detection.detect import detect, find_detected_point, make_view
+from tracker.detection.detector import OutlineRadius
+from tracker.detection.link import link_into_tracks
 from tracker.results import write_json
 
 MAX_ROUGH_CLIPS = 12  # clips at most, from which scale, glint width and noise are first read
 Ways: TypeAlias = dict[str, tuple[float, float]]  # scale and its standard error, m/px, by each of these methods
+
+
+@dataclass(frozen=True)
+class BallSighting:
+    """One clip's part: balls found in all frames together, and how large they are seen."""
+
+    index: int
+    camera: Camera  # completed from the clip, as far as its detector does
+    balls: int
+    contact_distances: list[ContactDistance]
+    outline: OutlineRadius | None
+    encoded: bool  # with loss
 
 
 @dataclass(frozen=True)
@@ -69,11 +86,10 @@ def write_camera_file(path: Path, keys: dict[str, Any]) -> None:
 def check_output(path: Path) -> None:
     """Check that a calibration may write its camera file there. Raises InputError, as for another file's place."""
     try:
-        keys = {"calibration": {}} if not (path.exists() or path.is_symlink()) else read_json(path)
-        ours = isinstance(keys, dict) and isinstance(keys.get("calibration"), dict)
+        keys = read_json(path) if path.exists() or path.is_symlink() else {"calibration": {}}
     except (OSError, ValueError, TypeError):
-        ours = False
-    if not ours:
+        keys = None
+    if not isinstance(keys, dict) or not isinstance(keys.get("calibration"), dict):
         raise InputError(f"{path}: exists and was not made by tracker calibrate, expected a new file")
     check_writable(path)
 
@@ -153,6 +169,52 @@ def calibrate(
     return replace(result, camera=replace(result.camera, fps=fps))
 
 
+def survey_sizes(source: RecordingSource, known: dict[str, Any], name: str, sized: bool, index: int) -> BallSighting:
+    """Survey the size of the balls in clip ``index`` of a source, found by the detector ``name``.
+
+    known: keys of camera.json; sized: whether the scale among them is more than a guess.
+    """
+    use_one_thread()
+    number, frames = source.open_film(index)
+    clip = make_recording(number, frames, Camera.from_dict(known), options=source.options)
+    clip = clip.select_channel(source.channel or GREY)
+    return _survey_discs(clip, index, sized) if name == DISCS else _survey_glints(clip, name, index)
+
+
+def without_scale(clip: Recording) -> Recording:
+    """Return the recording for a survey of sizes, in which nothing ties pixels to metres."""
+    bare = Camera.unknown(clip.camera.size, clip.camera.sensor.bits)
+    return replace(clip, camera=replace(bare, sensor=clip.camera.sensor))
+
+
+def _survey_glints(clip: Recording, name: str, index: int) -> BallSighting:
+    view = make_view(clip)
+    glints = detect(clip, view, name).glints
+    tracks = link_into_tracks(glints, view.camera)
+    encoded = view.camera.sensor.codec_noise > 0
+    seen = None if encoded else measure_outline(clip.frames, view.plate, glints, view.sigma)
+    if seen is not None:
+        # 1/m, scatter of 1/height of the lamp less that of the camera: distances of glints differ from those of balls
+        seen = replace(seen, std=math.hypot(seen.std, 2.5 * clip.camera.ball_diameter / 4 * seen.radius))
+    return BallSighting(index, view.camera, len(tracks), contact_distances(tracks), seen, encoded)
+
+
+def _survey_discs(clip: Recording, index: int, sized: bool) -> BallSighting:
+    looked_at = clip if sized else without_scale(clip)
+    view = make_view(looked_at, DISCS)
+    found = detect(looked_at, view, DISCS)
+    lossy = clip.frames.lossy
+    takes = view.takes.spans if view.takes else ()
+    tracks = link_into_tracks(found.glints, view.camera, find_detected_point(DISCS, view.camera), takes)
+    # px, of a contact in lossy video: read from ten drawn films of discs at H.264, crf 28
+    contacts = [replace(c, std=math.hypot(c.std, 0.3 * lossy)) for c in contact_distances(tracks)]
+    outline = found.outline_radius
+    if outline is not None:
+        # 2 % of the radius: a ball is darker at its limb, and encoders move edges
+        outline = replace(outline, std=math.hypot(outline.std, 0.02 * outline.radius))
+    return BallSighting(index, clip.camera, len(tracks), contacts, outline, lossy)
+
+
 def _middle(seen: Sequence[BallSighting]) -> Camera:
     """The camera of the clip whose glints are of middle width."""
     return sorted(seen, key=lambda s: s.camera.psf_sigma or 0.0)[len(seen) // 2].camera
@@ -204,7 +266,7 @@ def _combine(seen: Sequence[BallSighting], ways: Ways, video: Path, timed: bool,
         what = "glints found, expected balls with a bright glint on a darker ground, or seen whole on a still one"
         raise InputError(f"{video}: {found} {'discs found, expected balls on a still background' if discs else what}")
     best = min(ways, key=lambda name: ways[name][1]) if ways else ""
-    missing = [*_of_scale(seen, ways, best, discs)]
+    missing = _of_scale(seen, ways, best, discs)
     if not timed:
         blurred = "" if discs else "; the glint's width includes the motion blur"
         missing.append(f"exposure: a video does not show it{blurred}")
@@ -215,7 +277,7 @@ def _combine(seen: Sequence[BallSighting], ways: Ways, video: Path, timed: bool,
     return Calibration(replace(_middle(seen), scale=scale), std, best, ways, tuple(missing), discs)
 
 
-def _of_scale(seen: Sequence[BallSighting], ways: Ways, best: str, discs: bool) -> Sequence[str]:
+def _of_scale(seen: Sequence[BallSighting], ways: Ways, best: str, discs: bool) -> list[str]:
     """Lines about methods that give no scale, or disagree."""
     unseen = "no outline is bright enough to be seen"
     if discs:

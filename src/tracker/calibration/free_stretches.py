@@ -50,13 +50,11 @@ class FrictionPrior:
 
         A slide counts by the chi^2 that it explains: noise and a warp make weak ones.
         """
-        rolling = [one for one in stretches if np.isfinite(one.loss)]
-        sliding = [one for one in stretches if np.isfinite(one.slide)]
-        losses, slides = np.array([one.loss for one in rolling]), np.array([one.slide for one in sliding])
-        gains = np.array([one.gain for one in sliding])
+        losses = np.array([one.loss for one in stretches if np.isfinite(one.loss)])
+        sliding = [(one.slide, one.gain) for one in stretches if np.isfinite(one.slide)]
+        slides, gains = np.array(sliding).reshape(-1, 2).T
         loss, loss_std = _median_and_scatter(losses, np.ones(len(losses)), RULES.loss_scatter)
-        slide, slide_std = _median_and_scatter(slides, gains, RULES.slide_scatter)
-        return FrictionPrior(loss, loss_std, slide, slide_std)
+        return FrictionPrior(loss, loss_std, *_median_and_scatter(slides, gains, RULES.slide_scatter))
 
 
 def _median_and_scatter(values: Floats, weights: Floats, least: float) -> tuple[float, float]:
@@ -76,21 +74,18 @@ def _median_and_scatter(values: Floats, weights: Floats, least: float) -> tuple[
 class FreeStretch:
     """n positions of one ball, and the residuals of its free motion.
 
-    time (n,) s; position (n, 2) m; std (n,) m. end: until when the ball slides, s from the first position. loss, slide:
-    accelerations of rolling and sliding, m/s^2; NaN where there is none. gain: chi^2 that the slide explains.
-    residual: position minus motion, x of all positions before y, then the distances from a prior, (2n + e,), in
-    standard errors. absorbed (2n + e, p): orthonormal columns of what the motion can absorb.
+    residual: position minus motion, x of all positions before y, then the distances from a prior, in standard errors.
     """
 
-    time: Floats
-    position: Floats
-    std: Floats
-    end: float
-    loss: float
-    slide: float
-    gain: float
-    residual: Floats
-    absorbed: Floats
+    time: Floats  # (n,), s
+    position: Floats  # (n, 2), m
+    std: Floats  # (n,), m
+    end: float  # until when the ball slides, s from the first position
+    loss: float  # acceleration of rolling, m/s^2; NaN where there is none
+    slide: float  # acceleration of sliding, the same
+    gain: float  # chi^2 that the slide explains
+    residual: Floats  # (2n + e,)
+    absorbed: Floats  # (2n + e, p), orthonormal columns of what the motion can absorb
 
     @property
     def dof(self) -> int:
@@ -177,9 +172,15 @@ def _fit(
         if rolls:
             columns.append(-np.outer(along, late**2 / 2).ravel())
         rows, aims = np.column_stack(columns) * weight, target * weight[:, 0]
-        if prior is not None:
-            pulls = _pull(prior, rows.shape[1], rolls, _unit(acceleration) if slides and step > 0 else None)
-            rows, aims = np.concatenate([rows, *(row for row, _ in pulls)]), np.append(aims, [aim for _, aim in pulls])
+        if prior is not None:  # it draws the loss, and the acceleration along its own direction, to usual values
+            if rolls:
+                pull = np.zeros((1, rows.shape[1]))
+                pull[0, -1] = 1 / prior.loss_std
+                rows, aims = np.concatenate([rows, pull]), np.append(aims, prior.loss / prior.loss_std)
+            if slides and step > 0:
+                pull = np.zeros((1, rows.shape[1]))
+                pull[0, 4:6] = _unit(acceleration) / prior.slide_std
+                rows, aims = np.concatenate([rows, pull]), np.append(aims, prior.slide / prior.slide_std)
         solution = np.linalg.lstsq(rows, aims, rcond=None)[0]
         loss = float(solution[-1]) if rolls else 0.0
         if slides:
@@ -200,20 +201,6 @@ def _fit(
         residual=np.asarray(aims - rows @ solution),
         absorbed=np.linalg.qr(rows)[0],
     )
-
-
-def _pull(prior: FrictionPrior, size: int, rolls: bool, along: Floats | None) -> list[tuple[Floats, float]]:
-    """Rows (1, size) and aims that draw the loss, and the acceleration along its own direction, to the prior."""
-    out = []
-    if rolls:
-        row = np.zeros((1, size))
-        row[0, -1] = 1 / prior.loss_std
-        out.append((row, prior.loss / prior.loss_std))
-    if along is not None:
-        row = np.zeros((1, size))
-        row[0, 4:6] = along / prior.slide_std
-        out.append((row, prior.slide / prior.slide_std))
-    return out
 
 
 def _unit(vector: Floats) -> Floats:

@@ -12,9 +12,8 @@ import synthcam
 import tracker
 from synthcam_shared.errors import InputError
 from tracker import cli
-from tracker.calibration.plate_camera import calibrate_plate
+from tracker.calibration.plate_camera import calibrate_plate, fit_view
 from tracker.calibration.plate_points import PlatePoints, find_board, read_points
-from tracker.calibration.plate_view import fit_view
 from tracker.camera.camera import Camera
 from tracker.camera.views import perturb_view
 
