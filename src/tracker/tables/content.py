@@ -184,24 +184,21 @@ class FileContent:
     def _parse(self, lines: list[TableLine], names: list[str]) -> pd.DataFrame:
         """Lines as a table with these names of columns."""
         mark = self.dialect.delimiter
-        quoted = any('"' in line.text for line in lines)
-        if quoted or mark == " ":
-            counts = np.array([len(split_cells(line.text, mark)) for line in lines], dtype=int)
-        else:
-            counts = np.array([line.text.count(mark) + 1 for line in lines], dtype=int)
+        is_split_slowly = mark == " " or any('"' in line.text for line in lines)
+        count = (lambda text: len(split_cells(text, mark))) if is_split_slowly else lambda text: text.count(mark) + 1
+        counts = np.array([count(line.text) for line in lines], dtype=int)
         names, widest = list(names), int(counts.max(initial=0))
         if widest > len(names):
             names = self._complete(lines, names, counts)
         names = [name if names.index(name) == k else f"{name}.{k}" for k, name in enumerate(names)]
-        options: dict[str, Any] = {"sep": r"\s+" if mark == " " else mark, "decimal": self.dialect.decimal}
-        if self.dialect.thousands:
-            options["thousands"] = self.dialect.thousands
         # one more column takes the empty cell behind a delimiter at the end of a line
         spare = [f"\0{k}" for k in range(max(widest - len(names), 0))]
-        text = "\n".join(line.text for line in lines)
         try:
             table: pd.DataFrame = pd.read_csv(
-                StringIO(text),
+                StringIO("\n".join(line.text for line in lines)),
+                sep=r"\s+" if mark == " " else mark,
+                decimal=self.dialect.decimal,
+                thousands=self.dialect.thousands or None,
                 header=None,
                 names=[*names, *spare],
                 index_col=False,
@@ -209,7 +206,6 @@ class FileContent:
                 skipinitialspace=True,
                 skip_blank_lines=False,
                 low_memory=False,
-                **options,
             )
         except Exception as error:  # readers raise their own kinds
             if not lines:
@@ -281,19 +277,13 @@ class FileContent:
             raise self.wrong(f"<{format_wrong_value(element.tag, quoted=False)}> without {name}")
         return element.attrib[name]
 
-    def number(self, element: ET.Element, name: str) -> float:
-        """An attribute that is a number."""
-        return self._number(element, name, self.attribute(element, name))
-
-    def number_in(self, element: ET.Element) -> float:
-        """The number between an element's tags."""
-        return self._number(element, element.get("name", ""), element.text or "")
-
-    def _number(self, element: ET.Element, name: str, text: str) -> float:
+    def number(self, element: ET.Element, name: str = "") -> float:
+        """An attribute that is a number; without its name the number between the element's tags."""
+        text = self.attribute(element, name) if name else element.text or ""
         try:
             return float(text)
         except ValueError:
-            tag = format_wrong_value(f"<{element.tag}> {name}", quoted=False)
+            tag = format_wrong_value(f"<{element.tag}> {name or element.get('name', '')}", quoted=False)
             raise self.wrong(f"{tag}: expected a number, not {format_wrong_value(text)}") from None
 
 

@@ -97,7 +97,7 @@ def _mixes_whole_numbers(lines: Sequence[TableLine], delimiter: str) -> bool:
 def split_cells(text: str, delimiter: str) -> list[str]:
     """Split a line of a text table into its cells, without blanks and quotes around them."""
     if delimiter == " ":
-        text, delimiter = " ".join(text.split()), " "
+        text = " ".join(text.split())
     try:
         cells = next(csv.reader([text], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:  # a line that is no text

@@ -102,7 +102,9 @@ def _pick_columns(rows: pd.DataFrame, columns: str, where: str, notes: Iterable[
         if key not in known or not name:
             hint = did_you_mean(key, known, written=known)
             raise InputError(f"--columns: {format_wrong_value(key)}: expected NAME=COLUMN of {', '.join(known)}{hint}")
-    pairs = {key: _find_column(name, rows) for key, name in pairs.items()}
+    for key, name in pairs.items():  # the number of a column, from 1, where none has the name
+        if name not in rows and name.isdigit() and 0 < int(name) <= rows.shape[1]:
+            pairs[key] = str(rows.columns[int(name) - 1])
     if missing := [name for name in pairs.values() if name not in rows]:
         there = format_wrong_value(", ".join(map(str, rows.columns)), quoted=False)
         raise InputError(f"{where}: no column {', '.join(missing)}, as --columns says; found {there}")
@@ -130,13 +132,6 @@ def read_frame(tracks: pd.DataFrame, camera: CameraSource, options: TableOptions
     return to_pixels(table.number_names(where), where, camera, options.unit)
 
 
-def _find_column(name: str, rows: pd.DataFrame) -> str:
-    """The column of this name, or with this number, from 1, where none has the name."""
-    if name not in rows and name.isdigit() and 0 < int(name) <= rows.shape[1]:
-        return str(rows.columns[int(name) - 1])
-    return name
-
-
 def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = "", where: str = "") -> ClipTracks:
     """Convert a table that was read, in any unit, to tracks in px. where: its name in messages; name: in notes."""
     where = where or name
@@ -149,7 +144,13 @@ def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = ""
     metre = LENGTH_UNITS[used][0]
     metric = math.isfinite(metre)
     up = table.up or (metric and not table.format)
-    known = _camera(camera, table.scale_lengths(metre, where) if metric else None, where)
+    keys = {} if isinstance(camera, Camera) else read_source(camera)
+    if isinstance(camera, Camera):
+        known = camera
+    else:
+        if metric and len(table.rows) and isinstance(keys, Mapping):
+            keys = _fit_picture(keys, table.scale_lengths(metre, where).rows, where)
+        known = Camera.from_dict(keys, f"{camera}" if isinstance(camera, str | Path) else "camera")
     # 29.97 counts as 30
     if abs(table.fps / known.fps - 1) <= 0.01:
         table = replace(table, rows=table.rows.drop(columns="t_s", errors="ignore"))
@@ -167,7 +168,7 @@ def to_pixels(table: TrackTable, name: str, camera: CameraSource, unit: str = ""
         notes += check_unit([tracks for tracks, _ in clips.values()], known, where)
     notes += [text for n, (tracks, _) in clips.items() if (text := _describe_overlaps(tracks, known, f"clip {n}"))]
     said = make_notes(NoteKind.TABLE, notes)
-    if len(clips) > 1 and "striker" not in table.rows and not _names_striker(camera):
+    if len(clips) > 1 and "striker" not in table.rows and "striker" not in keys:
         clips, note = _infer_strikers(clips, table.balls, known.striker)
         said.append(replace(note, text=f"{name}: {note}"))
     return ClipTracks(clips, known, tuple(said))
@@ -213,14 +214,6 @@ def find_first_mover(tracks: Tracks) -> int | None:
     return int(particles[int(np.argmax(moved))]) if certain else None
 
 
-def _names_striker(camera: CameraSource) -> bool:
-    """Tell whether the camera file says which ball strikes in all clips."""
-    if isinstance(camera, Camera):
-        return False
-    keys = read_source(camera)
-    return isinstance(keys, Mapping) and "striker" in keys
-
-
 def _describe_overlaps(tracks: Tracks, camera: Camera, where: str) -> str:
     """A sentence where many balls lie within one another, as they do in a wrong scale or unit; else empty."""
     min_share = 0.2  # of positions with another ball within 0.8 diameters
@@ -239,29 +232,21 @@ def _describe_overlaps(tracks: Tracks, camera: Camera, where: str) -> str:
     )
 
 
-def _camera(given: CameraSource, metres: TrackTable | None, where: str) -> Camera:
-    """The camera; where tracks are in metres and its file says nothing of a picture, one that they fit in."""
-    if isinstance(given, Camera):
-        return given
-    keys = read_source(given)
-    keys = dict(keys) if isinstance(keys, Mapping) else keys
-    named = f"{given}" if isinstance(given, str | Path) else "camera"
-    if metres is not None and len(metres.rows) and isinstance(keys, dict):
-        check_columns(metres.rows, where)
-        positions = [to_numbers(metres.rows[axis], axis, where) for axis in ("x", "y")]
-        reach = float(np.nanmax(np.abs(positions), initial=0.0))
-        if not 0 < reach < 1e3:
-            raise InputError(
-                f"{where}: x, y: up to {reach:g} m, expected positions on a plate; --unit says what they are"
-            )
-        if "scale" not in keys and not {"K", "t"} <= set(keys):
-            ball = keys.get("ball_diameter", 0)
-            known = ball / 15 if isinstance(ball, int | float) and 0 < ball < reach else 0.0
-            keys["scale"] = max(known, 2 * reach / 16000)
-        scale = keys.get("scale", 0)
-        if "size" not in keys and isinstance(scale, int | float) and scale > 0:
-            keys["size"] = [min(2 * math.ceil(reach / scale) + 2 * 15, 16000)] * 2
-    return Camera.from_dict(keys, named)
+def _fit_picture(given: Mapping[str, Any], metres: pd.DataFrame, where: str) -> Mapping[str, Any]:
+    """The keys of camera.json; where they say nothing of a picture, with one in which tracks in metres lie."""
+    check_columns(metres, where)
+    reach = float(np.nanmax(np.abs([to_numbers(metres[axis], axis, where) for axis in ("x", "y")]), initial=0.0))
+    if not 0 < reach < 1e3:
+        raise InputError(f"{where}: x, y: up to {reach:g} m, expected positions on a plate; --unit says what they are")
+    keys = dict(given)
+    if "scale" not in keys and not {"K", "t"} <= set(keys):
+        ball = keys.get("ball_diameter", 0)
+        known = ball / 15 if isinstance(ball, int | float) and 0 < ball < reach else 0.0
+        keys["scale"] = max(known, 2 * reach / 16000)
+    scale = keys.get("scale", 0)
+    if "size" not in keys and isinstance(scale, int | float) and scale > 0:
+        keys["size"] = [min(2 * math.ceil(reach / scale) + 2 * 15, 16000)] * 2
+    return keys
 
 
 def _measure_rate(rows: pd.DataFrame) -> float:

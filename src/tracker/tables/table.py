@@ -52,8 +52,10 @@ class TrackTable:
         """
         rows, notes, balls = self.rows, list(self.notes), self.balls
         for column in (c for c in ("particle", "clip") if c in rows):
-            values = rows[column]
-            if pd.api.types.is_numeric_dtype(values) or not _holds_names(values):
+            values, known = rows[column], rows[column].dropna()
+            if pd.api.types.is_numeric_dtype(values) or not len(known):
+                continue
+            if pd.to_numeric(known, errors="coerce").notna().sum() > len(known) / 2:
                 continue
             texts = values.astype(str).where(values.notna())
             names = sorted(texts.dropna().unique(), key=_natural_order)
@@ -92,12 +94,6 @@ class TrackTable:
             for name in (n for n in names if n in rows):
                 rows[name] = to_numbers(rows[name], name, where) * by
         return replace(self, rows=rows)
-
-
-def _holds_names(values: pd.Series) -> bool:
-    """Tell whether a column holds no numbers, or few."""
-    known = values.dropna()
-    return len(known) > 0 and bool(pd.to_numeric(known, errors="coerce").notna().sum() <= len(known) / 2)
 
 
 def _natural_order(text: str) -> list[tuple[bool, int, str]]:

@@ -22,24 +22,12 @@ class TableKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class TableOptions:
-    """Options of reading a table of tracks.
+    """Options of reading a table of tracks."""
 
-    Attributes
-    ----------
-    point : {"centre", "glint"}
-        The point of a ball that x and y give: its centre, mean over the exposure, or its glint.
-    columns : str
-        The table's own names of columns, as in "x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID", or their numbers.
-    unit : str
-        Of lengths: px, m, cm, mm, ...; "" for what the table says, or px.
-    decimal : str
-        Decimal mark of the numbers in a file, "." or ","; "" for what the numbers show.
-    """
-
-    point: str = "centre"
-    columns: str = ""
-    unit: str = ""
-    decimal: str = ""
+    point: str = "centre"  # of a ball that x and y give: its centre, mean over the exposure, or its "glint"
+    columns: str = ""  # the table's own names or numbers of columns, as in "x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID"
+    unit: str = ""  # of lengths: px, m, cm, mm, ...; "" for what the table says, or px
+    decimal: str = ""  # mark of the numbers in a file, "." or ","; "" for what the numbers show
 
     @staticmethod
     def of(given: TableKeywords) -> TableOptions:

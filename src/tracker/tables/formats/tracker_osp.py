@@ -27,7 +27,7 @@ def read(content: FileContent) -> TrackTable | None:
     if not root.get("class", "").startswith(CLASS_PREFIX):
         return None
     rows = pd.DataFrame(list(_marks(content, root)), columns=["frame", "particle", "x", "y"])
-    step = [content.number_in(p) for p in root.iter("property") if p.get("name") == "delta_t"]
+    step = [content.number(p) for p in root.iter("property") if p.get("name") == "delta_t"]
     return TrackTable(rows, f"{NAME}: .trk", "px", fps=1e3 / step[0] if step and step[0] > 0 else math.nan)
 
 
@@ -39,7 +39,7 @@ def _marks(content: FileContent, root: ET.Element) -> Iterator[tuple[float, ...]
             place = {p.get("name"): p for p in frame.iterfind("object/property")}
             if at is None or not {"x", "y"} <= set(place):
                 raise content.wrong("<property> of framedata: expected [frame] with x and y")
-            x, y = (content.number_in(place[name]) - 0.5 for name in ("x", "y"))
+            x, y = (content.number(place[name]) - 0.5 for name in ("x", "y"))
             yield int(at[1]), number, x, y
 
 
