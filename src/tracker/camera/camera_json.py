@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -46,12 +47,11 @@ def read_source(given: Mapping[str, Any] | str | Path | HasCameraJson) -> Any:
     path = Path(given)
     try:
         return read_json(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file, expected a camera.json") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: a folder, expected a camera.json") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as JSON ({error})") from None
+        kinds = {FileNotFoundError: "no such file", IsADirectoryError: "a folder"}
+        what = next((text for kind, text in kinds.items() if isinstance(error, kind)), "")
+        reason = f"{what}, expected a camera.json" if what else f"cannot be read as JSON ({error})"
+        raise InputError(f"{path}: {reason}") from None
 
 
 @dataclass(frozen=True)
@@ -341,8 +341,12 @@ def _camera_fields(file: _CameraFile, unmodelled: list[str]) -> dict[str, Any]:
         sensor=SensorSpec(**sensor),
         line_time=file.shutter.line_time if file.shutter.kind == "rolling" else 0.0,
         matte=file.ball.get("finish") == "matte",
-        mass_ratio=_mass_ratio(file),
+        mass_ratio=file.mass_ratio,
     )
+    if file.ball_masses is not None:
+        ratio = fields["mass_ratio"] = float(file.ball_masses[0] / file.ball_masses[1])
+        if file.mass_ratio is not None and abs(file.mass_ratio / ratio - 1) > 1e-3:
+            raise _KeyProblem("mass_ratio", f"{ratio:.6g}, that of ball_masses, not {file.mass_ratio:g}")
     for key in STANDARD_ERRORS:
         name = key.removesuffix("_std")
         error = fields[key]
@@ -350,16 +354,6 @@ def _camera_fields(file: _CameraFile, unmodelled: list[str]) -> dict[str, Any]:
             raise _KeyProblem(key, f"the standard error of {name}, at most 0.5 of what that is")
     assumed += file.assumed
     return fields | {"assumed": tuple(dict.fromkeys(assumed)), "unmodelled": tuple(unmodelled)}
-
-
-def _mass_ratio(file: _CameraFile) -> float | None:
-    """Mass of ball a over that of ball b; None if the file gives no masses and no ratio."""
-    if file.ball_masses is None:
-        return file.mass_ratio
-    ratio = float(file.ball_masses[0] / file.ball_masses[1])
-    if file.mass_ratio is not None and abs(file.mass_ratio / ratio - 1) > 1e-3:
-        raise _KeyProblem("mass_ratio", f"{ratio:.6g}, that of ball_masses, not {file.mass_ratio:g}")
-    return ratio
 
 
 def _view(file: _CameraFile, assumed: list[str]) -> tuple[Array, Array, float]:
@@ -430,13 +424,8 @@ def _lamp(lamp: _Lamp, assumed: list[str], unmodelled: list[str]) -> LampSetting
 
 def _psf_sigma(file: _CameraFile, assumed: list[str], unmodelled: list[str]) -> float | None:
     """Width of the PSF, px; None where something widens glints beyond it: then the film has to show it."""
-    widening = {
-        "psf.defocus_px": file.psf.defocus_px,
-        "psf.f_number": file.psf.f_number,
-        "surface.roughness": file.surface.roughness,
-        "surface.scratches": file.surface.scratches,
-    }
-    wider = [key for key, value in widening.items() if value > 0]
+    widening = ("psf.defocus_px", "psf.f_number", "surface.roughness", "surface.scratches")
+    wider = [key for key in widening if attrgetter(key)(file) > 0]
     unmodelled += [f"{key}: glints are taken as Gaussian, with the width that the film shows" for key in wider]
     if wider or file.psf.sigma_px is None:
         assumed.append("psf.sigma_px")

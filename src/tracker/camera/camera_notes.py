@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from tracker.camera.camera import Camera
-from tracker.camera.frame_times import rates_agree
 from tracker.notes import Note, NoteKind, make_notes
 
 
@@ -23,15 +22,3 @@ def describe_exposure(camera: Camera, key: str) -> list[Note]:
         return []
     kind = "longer" if camera.exposure_from_blur > camera.exposure else "shorter"
     return [Note(NoteKind.TIMING, f"exposure: motion blur is {kind} than it makes it; taken as it is seen ({key})")]
-
-
-def describe_frame_rate(camera: Camera, claimed: float) -> list[Note]:
-    """Note that the film contradicts the frame rate of the camera file: a playback rate, or a wrong file.
-
-    claimed: in frames per second; 0 where the film claims none.
-    """
-    if not camera.metric or not claimed > 0 or rates_agree(claimed, camera.fps):
-        return []
-    both = f"{camera.fps:g} in the camera file, {claimed:.5g} by the film's own times"
-    used = "the camera file's is used; --times file takes the film's"
-    return [Note(NoteKind.TIMING, f"fps: {both}, a factor of {camera.fps / claimed:.4g}; {used}")]

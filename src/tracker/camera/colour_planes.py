@@ -82,7 +82,8 @@ def read_plane(name: str, sample: Callable[[], Sequence[Colours]], white: float)
             return np.rint(top - top * np.asarray(cv2.exp(far, dst=far))).astype(np.uint8)
 
         return distance
-    wanted = find_shares(hex_to_rgb(name)[None, None] * (white / 255), white)[0, 0]
+    named = np.array([[[*bytes.fromhex(name[1:])]]], np.float32)
+    wanted = find_shares(named * (white / 255), white)[0, 0]
     reach = max(float(np.sqrt(((wanted - np.median(usual, axis=(0, 1))) ** 2).sum())), 3 * least_spread)
 
     def nearness(picture: Colours) -> Any:
@@ -90,8 +91,3 @@ def read_plane(name: str, sample: Callable[[], Sequence[Colours]], white: float)
         return np.rint(top * np.clip(1 - far / reach, 0, 1)).astype(np.uint8)
 
     return nearness
-
-
-def hex_to_rgb(name: str) -> NDArray[np.float32]:
-    """Red, green and blue, 0 to 255, of "#rrggbb"."""
-    return np.array([int(name[k : k + 2], 16) for k in (1, 3, 5)], np.float32)

@@ -19,24 +19,18 @@ from tracker.camera.frames import Frames
 
 @dataclass
 class FieldOrder:
-    """Sums of squared differences between fields: those of a frame, and across to the next frame in both orders.
-
-    near, far: squared second differences of what changes from frame to frame, to the next lines and to those after.
-    """
+    """Sums of squared differences between fields: those of a frame, and across to the next frame in both orders."""
 
     flagged: bool = False
     inside: float = 0.0
     top_first: float = 0.0
     bottom_first: float = 0.0
-    near: float = 0.0
-    far: float = 0.0
+    near: float = 0.0  # squared second differences of what changes from frame to frame, to the next lines
+    far: float = 0.0  # and to those after
     pixels: int = 0
 
-    def add(self, before: NDArray[Any], after: NDArray[Any], *, least_change_counts: float = 16.0) -> None:
-        """Compares two frames; an odd last line is left out.
-
-        least_change_counts: of 255, of a pixel that counts, and at least five standard deviations of the noise.
-        """
+    def add(self, before: NDArray[Any], after: NDArray[Any]) -> None:
+        """Compares two frames; an odd last line is left out."""
         height = len(after) // 2 * 2
         top, bottom, top_next, bottom_next = before[:height:2], before[1:height:2], after[:height:2], after[1:height:2]
         self.inside += cv2.norm(top_next, bottom_next, cv2.NORM_L2SQR)
@@ -45,7 +39,8 @@ class FieldOrder:
         if self.flagged or height < 6:
             return
         size: Any = cv2.absdiff(before, after)
-        changed = size > max(least_change_counts, 5 * 1.5 * float(np.median(size[::7, ::7])))
+        # counts of 255, and at least five standard deviations of the noise
+        changed = size > max(16.0, 5 * 1.5 * float(np.median(size[::7, ::7])))
         rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
         if not len(rows):
             return
@@ -75,7 +70,6 @@ class FieldOrder:
 def separate_fields(frames: Frames, order: int) -> Frames:
     """Two frames of each: its fields in the order of time, with the lines between by interpolation."""
     height = frames.shape[1]
-
     lines = np.arange(height)
 
     def fill(picture: NDArray[Any], parity: int) -> NDArray[Any]:
@@ -83,8 +77,7 @@ def separate_fields(frames: Frames, order: int) -> Frames:
         above, below = lines - between, lines + between
         above = np.where(above < 0, below, above)
         below = np.where(below >= height, above, below)
-        mean: NDArray[Any] = ((picture[above].astype(np.uint32) + picture[below] + 1) // 2).astype(picture.dtype)
-        return mean
+        return np.asarray((picture[above].astype(np.uint32) + picture[below] + 1) // 2, picture.dtype)
 
     def fetch(source: Callable[[int], Any]) -> Callable[[int], Any]:
         return lambda k: fill(source(k // 2), (k + order) % 2)

@@ -1,18 +1,19 @@
-"""Wraps a film in memory as `Frames`."""
+"""Wraps arrays as `Frames`: a film in memory, or one that numpy.save has written, read from the disk frame by frame."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam_shared.errors import InputError
+from synthcam_shared.errors import InputError, first_line
 from tracker.camera.frame_times import drop_equal_pictures
-from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
-from tracker.camera.recordings import check_two_frames
+from tracker.camera.frames import Frames, check_two_frames, make_grey_frames
 
+ARRAYS = (".npy",)
 FILM = "film"  # what messages call it
 
 
@@ -35,8 +36,6 @@ def wrap_frames(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
     first = _picture(pictures, 0)
     if first.ndim not in (2, 3) or 0 in first.shape:
         raise InputError(f"{FILM}: pictures of shape {first.shape}, expected (height, width) of each frame")
-    check_pixel_type(FILM, first.dtype)
-    check_frame_size(FILM, first.shape)
 
     def fetch(k: int) -> Any:
         picture = _picture(pictures, k)
@@ -50,6 +49,23 @@ def wrap_frames(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
     if not isinstance(pictures, np.ndarray | list):
         return frames  # pictures that may be slow to read
     return drop_equal_pictures(frames, fetch)
+
+
+def read_array_file(path: Path) -> Frames:
+    """Read the frames of a numpy array file, (frames, height, width) or (..., 3) in colour. Raises InputError."""
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise InputError(f"{path}: cannot be read as an array of numpy.save ({first_line(error)})") from None
+    if not isinstance(array, np.ndarray) or array.ndim not in (3, 4) or 0 in array.shape:
+        shape = getattr(array, "shape", "of several arrays")
+        raise InputError(f"{path}: an array {shape}, expected (frames, height, width), in colour (..., 3)")
+    kind = array.dtype.newbyteorder("=")
+
+    def fetch(k: int) -> Any:
+        return np.ascontiguousarray(array[k], dtype=kind)
+
+    return drop_equal_pictures(make_grey_frames(path, len(array), array.shape[1:], kind, fetch), fetch)
 
 
 def _picture(pictures: Any, k: int) -> NDArray[Any]:

@@ -17,8 +17,6 @@ from synthcam_shared.arguments import check_keywords
 from synthcam_shared.errors import InputError
 
 MAX_CORNER_PX = 1e6  # of a region, left or right of the origin
-NUMBER = r"\d+(?:\.\d+)?"
-BALL = re.compile(rf"({NUMBER}),({NUMBER})(?:,({NUMBER}))?@(\d+)")
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,8 @@ def parse_region(text: str) -> tuple[RegionPart, ...]:
 
 def parse_ball(text: str) -> BallExample:
     """Parse the hint --ball of a film: "X,Y@FRAME" or "X,Y,R@FRAME". Raises InputError."""
-    match = BALL.fullmatch(text.replace(" ", ""))
+    number = r"(\d+(?:\.\d+)?)"
+    match = re.fullmatch(rf"{number},{number}(?:,{number})?@(\d+)", text.replace(" ", ""))
     if match is None:
         raise InputError(f"--ball {text!r}: expected X,Y@FRAME or X,Y,R@FRAME in px, such as 120,58,13@5")
     return BallExample(float(match[1]), float(match[2]), float(match[3]) if match[3] else None, int(match[4]))
@@ -150,31 +149,18 @@ class FilmKeywords(TypedDict, total=False):
 class FilmOptions:
     """Options of reading a film.
 
-    Attributes
-    ----------
-    times : {"auto", "file", "even"}
-        "auto": spacing of frames from the film, rate from the camera file. "file": both from the film. "even": frames
-        are evenly spaced, whatever the film says.
-    select : str
-        Entries of axes that are not time, as in "C=1,Z=0"; others take their first.
-    fields : {"auto", "separate", "weave"}
-        Of interlaced video: "separate" makes two frames of each, "weave" leaves them; "auto" looks at the film.
-    frames, region : str
-        Which frames are read, "A:B" without B, and where balls are looked for, "X0,Y0,X1,Y1" in px; "": all. A polygon
-        is "X,Y X,Y X,Y"; several parts are separated by ";", and "not" before a part leaves it out.
-    mask : str
-        Path of a picture that is white where balls are looked for.
-    ball : tuple of str
-        Examples of balls, "X,Y@FRAME" or "X,Y,R@FRAME" in px.
+    times: "auto" takes the spacing of frames from the film and the rate from the camera file, "file" both from the
+    film; by "even" frames are evenly spaced, whatever the film says. fields, of interlaced video: "separate" makes two
+    frames of each, "weave" leaves them, "auto" looks at the film.
     """
 
     times: str = "auto"
-    select: str = ""
+    select: str = ""  # entries of axes that are not time, as in "C=1,Z=0"; others take their first
     fields: str = "auto"
-    frames: str = ""
-    region: str = ""
-    mask: str = ""
-    ball: tuple[str, ...] = ()
+    frames: str = ""  # which are read, "A:B" without B; "": all
+    region: str = ""  # where balls are looked for, as `parse_region` reads it; "": everywhere
+    mask: str = ""  # path of a picture that is white where balls are looked for
+    ball: tuple[str, ...] = ()  # examples of balls, "X,Y@FRAME" or "X,Y,R@FRAME" in px
 
     @staticmethod
     def of(given: FilmKeywords) -> FilmOptions:

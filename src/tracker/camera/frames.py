@@ -164,7 +164,9 @@ class Frames(Sequence[Any]):
 def make_grey_frames(
     path: Path | str, count: int, plane: tuple[int, ...], dtype: Any, fetch: Callable[[int], Any]
 ) -> Frames:
-    """Frames in grey; those of pictures in colour have ``colours`` as well."""
+    """Frames in grey; those of pictures in colour have ``colours`` as well. Raises InputError for what are none."""
+    check_pixel_type(path, np.dtype(dtype))
+    check_frame_size(path, plane)
     if len(plane) == 2:
         return Frames(count, (plane[0], plane[1]), dtype, fetch)
     if len(plane) != 3 or plane[2] not in (2, 3, 4):
@@ -186,6 +188,12 @@ def linearise_counts(frames: Frames, gamma: float) -> Frames:
     top = 2.0 ** (8 * frames.dtype.itemsize) - 1
     table = np.rint((np.arange(top + 1) / top) ** gamma * (2**16 - 1)).astype(np.uint16)
     return frames.convert(lambda picture: table[picture], frames.shape[1:], np.uint16)
+
+
+def check_two_frames(path: Path | str, frames: Frames) -> None:
+    """Check that a recording has two frames or more. Raises InputError."""
+    if len(frames) < 2:
+        raise InputError(f"{path}: one frame only, expected at least two to follow a ball")
 
 
 def check_frame_size(path: Path | str, plane: tuple[int, ...]) -> None:

@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from tracker.camera.camera import Camera
-from tracker.camera.camera_notes import describe_frame_rate
 from tracker.camera.fields import separate_or_note
+from tracker.camera.film_in_memory import ARRAYS, read_array_file
 from tracker.camera.film_options import DEFAULT_OPTIONS, BallExample, FilmOptions, parse_frames, read_search_area
 from tracker.camera.frame_times import find_frame_stride, rates_agree
-from tracker.camera.frames import GREY, Frame, Frames, linearise_counts
-from tracker.camera.readers.array_file import ARRAYS, read_array_file
+from tracker.camera.frames import GREY, Frame, Frames, check_two_frames, linearise_counts
 from tracker.camera.readers.labelled_array import HDF5, is_zarr, read_labelled_array
 from tracker.camera.readers.picture_folder import PICTURES, TIFF, is_hidden_file, list_pictures, read_picture_folder
 from tracker.camera.readers.tiff_stack import read_tiff_stack
@@ -85,12 +84,11 @@ class RecordingSource:
         contents: `Frames.contents` of the clip, if it was opened before.
         """
         location = self.clips[index][1]
-        own = _camera_beside(location)
-        chosen = self.camera if self.camera is not None else own if own.is_file() else None
-        if chosen is None and self.dataset:
-            raise InputError(f"{own}: no such file, expected the clip's camera.json")
+        chosen = self.camera or _camera_beside(location)
+        if self.camera is None and self.dataset and not chosen.is_file():
+            raise InputError(f"{chosen}: no such file, expected the clip's camera.json")
         number, frames = self.open_film(index, contents)
-        camera = Camera.read(chosen) if chosen is not None else None
+        camera = Camera.read(chosen) if self.camera or chosen.is_file() else None
         names = f"{location}", f"{chosen}"
         return make_recording(number, frames, camera, names, self.options).select_channel(self.channel or GREY)
 
@@ -132,44 +130,34 @@ def make_recording(
     options: FilmOptions = DEFAULT_OPTIONS,
 ) -> Recording:
     """Make one recording of frames and camera. names: of both, for the InputError where their sizes differ."""
-    clip = _make_whole_recording(number, frames, camera, names, options)
-    frames, (height, width) = clip.frames, clip.frames.shape[1:]
+    bits = 8 * frames.dtype.itemsize
+    frames, camera, said = _make_pixels_square(frames, camera)
+    height, width = frames.shape[1:]
+    notes = [] if frames.colours is None else [COLOUR_TO_GREY]
+    given = camera or Camera.unknown((width, height), bits)
+    if given.size != (width, height):
+        asked = "x".join(map(str, given.size))
+        raise InputError(f"{names[0]}: frames are {width}x{height}, expected {asked} by size in {names[1]}")
+    frames, timed, timing = _set_times(frames, given, options)
+    notes += make_notes(NoteKind.FILM, (*frames.faults, *said), number)
+    notes += [NO_CAMERA_FILE] if camera is None else timing
+    known = given if camera is None else timed
+    if known.sensor.gamma != 1:
+        frames, notes = linearise_counts(frames, known.sensor.gamma), [*notes, MADE_LINEAR]
+        known = replace(known, sensor=replace(known.sensor, bits=16))
+    elif "sensor.bits" in known.assumed:
+        known = replace(known, sensor=replace(known.sensor, bits=bits))
     if options.frames:
         frames = frames.cut(*parse_frames(options.frames))
-    for text, ball in zip(options.ball, options.balls(), strict=True):
+    balls = options.balls()
+    for text, ball in zip(options.ball, balls, strict=True):
         if ball.frame not in frames.numbers or not (ball.x < width and ball.y < height):
             raise InputError(
                 f"--ball {text}: expected a place in {width}x{height} px and a frame from {frames.numbers[0]} to "
                 f"{frames.numbers[-1]}"
             )
-    return replace(
-        clip, frames=frames, area=read_search_area(options.region, options.mask, (height, width)), balls=options.balls()
-    )
-
-
-def _make_whole_recording(
-    number: int, frames: Frames, camera: Camera | None, names: tuple[str, str], options: FilmOptions
-) -> Recording:
-    """The same, without the user's hints."""
-    bits = 8 * frames.dtype.itemsize
-    frames, camera, said = _make_pixels_square(frames, camera)
-    size = (frames.shape[2], frames.shape[1])
-    notes = [] if frames.colours is None else [COLOUR_TO_GREY]
-    if camera is None:
-        frames, _, _ = _set_times(frames, Camera.unknown(size, bits), options)
-        notes += make_notes(NoteKind.FILM, (*frames.faults, *said), number)
-        return Recording(number, Camera.unknown(size, bits), frames, (*notes, NO_CAMERA_FILE))
-    if camera.size != size:
-        asked = "x".join(map(str, camera.size))
-        raise InputError(f"{names[0]}: frames are {size[0]}x{size[1]}, expected {asked} by size in {names[1]}")
-    frames, camera, timing = _set_times(frames, camera, options)
-    notes += [*make_notes(NoteKind.FILM, (*frames.faults, *said), number), *timing]
-    if camera.sensor.gamma != 1:
-        frames, notes = linearise_counts(frames, camera.sensor.gamma), [*notes, MADE_LINEAR]
-        camera = replace(camera, sensor=replace(camera.sensor, bits=16))
-    elif "sensor.bits" in camera.assumed:
-        camera = replace(camera, sensor=replace(camera.sensor, bits=bits))
-    return Recording(number, camera, frames, tuple(notes))
+    area = read_search_area(options.region, options.mask, (height, width))
+    return Recording(number, known, frames, tuple(notes), area=area, balls=balls)
 
 
 def _make_pixels_square(frames: Frames, camera: Camera | None) -> tuple[Frames, Camera | None, tuple[str, ...]]:
@@ -203,8 +191,7 @@ def _set_times(frames: Frames, camera: Camera, options: FilmOptions) -> tuple[Fr
 
     Frames that lie a whole number of frame times apart throughout, such as every second picture, become consecutive.
     """
-    notes, said = list[Note](), list[str]()
-    frames = copy(frames)
+    frames, said = copy(frames), list[str]()
     if options.times == "even":
         frames.numbers, frames.seconds = np.arange(len(frames)), None
     stride = find_frame_stride(frames.numbers)
@@ -228,65 +215,62 @@ def _set_times(frames: Frames, camera: Camera, options: FilmOptions) -> tuple[Fr
             camera = replace(camera, fps=fps)
         rate /= stride
     frames.fps = rate
-    notes = describe_frame_rate(camera, rate)
+    if camera.metric and rate > 0 and not rates_agree(rate, camera.fps):
+        said.append(
+            f"fps: {camera.fps:g} in the camera file, {rate:.5g} by the film's own times, a factor of "
+            f"{camera.fps / rate:.4g}; the camera file's is used; --times file takes the film's"
+        )
     if frames.seconds is not None:
         mean = (len(frames) - 1) / float(frames.seconds[-1]) if len(frames) > 1 else rate
         if camera.metric and not rates_agree(rate, camera.fps, 0.02) and not rates_agree(mean, camera.fps, 0.02):
             frames.seconds = frames.seconds * (rate / camera.fps)
     if not camera.metric:
         frames.seconds = None
-    return frames, camera, [*make_notes(NoteKind.TIMING, said), *notes]
+    return frames, camera, make_notes(NoteKind.TIMING, said)
 
 
 def open_source(
     path: Path | str, camera: Path | str | None = None, options: FilmOptions = DEFAULT_OPTIONS
 ) -> RecordingSource:
     """Open the recordings behind ``path``; ``camera`` replaces the source's own camera.json. Raises InputError."""
-    return replace(_find_clips(path, camera), options=options)
-
-
-def _find_clips(path: Path | str, camera: Path | str | None) -> RecordingSource:
-    location = Path(path)
-    given = Path(camera) if camera is not None else None
+    location, given = Path(path), None if camera is None else Path(camera)
     if given is not None:
         Camera.read(given)
     if not location.exists():
         raise InputError(f"{location}: no such file or folder, expected a dataset, clip, stack, video or pictures")
-    if location.is_file():
-        if location.suffix.lower() not in TIFF + VIDEOS + ARRAYS + HDF5:
-            raise InputError(
-                f"{location}: expected a TIFF stack, a video, or an array of numpy.save (.npy), HDF5 or NetCDF, not a "
-                f"{location.suffix or 'nameless'} file"
-            )
-        return RecordingSource(location, ((0, location),), given)
-    if is_zarr(location):
-        return RecordingSource(location, ((0, location),), given)
-    if (location / "clips").is_dir():
-        return _dataset(location, given)
-    if (film := _film(location)) is not None:
-        number = int(location.name) if location.name.isdecimal() else 0
-        return RecordingSource(location, ((number, film),), given)
-    if not list_pictures(location):
+    if location.is_file() and location.suffix.lower() not in TIFF + VIDEOS + ARRAYS + HDF5:
         raise InputError(
-            f"{location}: nothing to track in it, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})"
+            f"{location}: expected a TIFF stack, a video, or an array of numpy.save (.npy), HDF5 or NetCDF, not a "
+            f"{location.suffix or 'nameless'} file"
         )
-    return RecordingSource(location, ((0, location),), given)
+    if location.is_dir() and not is_zarr(location):
+        if (location / "clips").is_dir():
+            return RecordingSource(location, _list_clips(location / "clips"), given, dataset=True, options=options)
+        if (film := _film(location)) is not None:
+            number = int(location.name) if location.name.isdecimal() else 0
+            return RecordingSource(location, ((number, film),), given, options=options)
+        if not list_pictures(location):
+            raise InputError(
+                f"{location}: nothing to track in it, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})"
+            )
+    return RecordingSource(location, ((0, location),), given, options=options)
 
 
-def _dataset(location: Path, camera: Path | None) -> RecordingSource:
+def _list_clips(folder: Path) -> tuple[tuple[int, Path], ...]:
+    """Numbers and films of a dataset's clips."""
     clips = []
-    for folder in sorted((location / "clips").iterdir()):
-        if folder.is_dir() and not is_hidden_file(folder) and folder.name.isdecimal():
-            film = _film(folder)
+    for each in sorted(folder.iterdir()):
+        if each.is_dir() and not is_hidden_file(each) and each.name.isdecimal():
+            film = _film(each)
             if film is None:
                 raise InputError(
-                    f"{folder / 'frames.tif'}: no such file, expected the clip's frames; "
+                    f"{each / 'frames.tif'}: no such file, expected the clip's frames; "
                     "tracker measure takes the tracks of a dataset made without video"
                 )
-            clips.append((int(folder.name), film))
+            clips.append((int(each.name), film))
     if not clips:
-        raise InputError(f"{location / 'clips'}: no clips, expected folders 000000, 000001, ...")
-    return RecordingSource(location, tuple(sorted(clips)), camera, dataset=True)
+        raise InputError(f"{folder}: no clips, expected folders 000000, 000001, ...")
+    return tuple(sorted(clips))
 
 
 def _film(folder: Path) -> Path | None:
@@ -311,12 +295,6 @@ def open_frames(location: Path, options: FilmOptions = DEFAULT_OPTIONS, contents
         frames = read_video(location, options, contents)
     check_two_frames(location, frames)
     return frames if frames.fields or location.suffix.lower() in VIDEOS else separate_or_note(frames, options.fields)
-
-
-def check_two_frames(location: Path | str, frames: Frames) -> None:
-    """Check that a recording has two frames or more. Raises InputError."""
-    if len(frames) < 2:
-        raise InputError(f"{location}: one frame only, expected at least two to follow a ball")
 
 
 def digest_films(source: RecordingSource) -> str:

@@ -18,12 +18,15 @@ def choose_axis_entries(
     lengths: of the axes by letter, without those of a picture; wanted: entries that the user selects. Raises InputError
     where one of these is not there.
     """
-    time = _find_time(lengths)
+    time, others = "T" if "T" in lengths else "", {axis: n for axis, n in lengths.items() if n > 1}
+    if others and "T" not in others:  # the longest that is no channel, else the longest
+        frames = {axis: n for axis, n in others.items() if axis != "C"} or others
+        time = max(frames, key=lambda axis: frames[axis])
     chosen = {axis: choose_axis_entry(path, axis, n, wanted, notes) for axis, n in lengths.items() if axis != time}
     if absent := sorted(set(wanted) - set(chosen) - {"S"} - {axis for axis, n in lengths.items() if n == 1}):
         there = ", ".join(f"{axis} ({n})" for axis, n in lengths.items()) or "none"
         raise InputError(f"{path}: --select {absent[0]}: no such axis beside time, expected one of {there}")
-    if time not in ("", "T") and sum(n > 1 for n in lengths.values()) > 1:
+    if time not in ("", "T") and len(others) > 1:
         notes.append(f"axis {time} ({AXIS_NAMES.get(time, 'frames')}) is taken as time, because the file names no time")
     return time, chosen
 
@@ -37,12 +40,3 @@ def choose_axis_entry(path: Path, axis: str, count: int, wanted: Mapping[str, in
         name = AXIS_NAMES.get(axis, "axis")
         notes.append(f"{name} {chosen} of {count} (0 to {count - 1}) is taken; --select {axis}=N takes another")
     return chosen
-
-
-def _find_time(lengths: Mapping[str, int]) -> str:
-    """The axis that is time: T, else the longest that is no channel, else the longest; "" of a single picture."""
-    if lengths.get("T", 0) > 1:
-        return "T"
-    others = {axis: n for axis, n in lengths.items() if n > 1}
-    frames = {axis: n for axis, n in others.items() if axis != "C"} or others
-    return max(frames, key=lambda axis: frames[axis]) if frames else "T" if "T" in lengths else ""

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError, first_line
-from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
+from tracker.camera.film_options import FilmOptions
 from tracker.camera.frame_times import FilmClock, describe_missing, drop_equal_pictures, read_clock
-from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
+from tracker.camera.frames import Frames, make_grey_frames
 from tracker.camera.readers.film_axes import choose_axis_entries
 
 HDF5 = (".h5", ".hdf5", ".hdf", ".he5", ".nc", ".nc4", ".cdf", ".netcdf")
@@ -49,7 +49,7 @@ def is_zarr(path: Path) -> bool:
     return path.is_dir() and any((path / name).is_file() for name in names)
 
 
-def read_labelled_array(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> Frames:
+def read_labelled_array(path: Path, options: FilmOptions) -> Frames:
     """Read the frames of the largest array in a file with named axes. Raises InputError, also for a missing library."""
     max_block_bytes = 256 << 20  # of the chunks that are read at once and kept
     film, notes = _choose_film(path)
@@ -62,12 +62,8 @@ def read_labelled_array(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> F
     time, chosen = choose_axis_entries(path, lengths, options.indices(), notes)
     at, order = letters.index(time) if time else -1, np.argsort(np.argsort(picture))
     dtype = np.dtype(np.uint8 if film.dtype.itemsize == 1 else np.uint16) if film.dtype.kind in "iu" else film.dtype
-    check_pixel_type(path, dtype)
-    plane = tuple(film.shape[k] for k in picture)
-    check_frame_size(path, plane)
-    count = lengths.get(time, 1)
-    bytes_of_frame = math.prod(film.shape[k] for k in picture) * film.dtype.itemsize
-    step = max(1, min(film.chunks[at] if time else 1, max_block_bytes // bytes_of_frame))
+    plane, count = tuple(film.shape[k] for k in picture), lengths.get(time, 1)
+    step = max(1, min(film.chunks[at] if time else 1, max_block_bytes // (math.prod(plane) * film.dtype.itemsize)))
     kept: dict[int, NDArray[Any]] = {}
 
     def fetch(k: int) -> Any:
@@ -99,7 +95,12 @@ def read_labelled_array(path: Path, options: FilmOptions = DEFAULT_OPTIONS) -> F
 def _choose_film(path: Path) -> tuple[LabelledArray, list[str]]:
     """The largest array of whole numbers with three axes or more, and a note if there are others."""
     try:
-        arrays = _open(path)
+        if path.is_dir():
+            arrays = list(_list_zarr(path))
+        else:
+            with path.open("rb") as stream:
+                is_classic = stream.read(3) == b"CDF"
+            arrays = list(_list_classic(path) if is_classic else _list_hdf5(path))
     except InputError:
         raise
     except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
@@ -117,16 +118,16 @@ def name_axes(array: LabelledArray) -> str:
     """Name each axis of an array by a letter: T, Y, X, C, Z, S, P, and Q, I, ... for those that are none of these."""
     letters = [""] * len(array.shape)
     names_of_letter = {  # the names of axes that a letter stands for
-        "T": ("t", "time", "frame", "frames"),
-        "Y": ("y", "height", "row", "rows"),
-        "X": ("x", "width", "col", "cols", "column", "columns"),
-        "S": ("s", "sample", "samples", "rgb", "rgba", "band", "bands"),
-        "C": ("c", "channel", "channels", "ch", "colour", "color"),
-        "Z": ("z", "depth", "plane", "focus", "level"),
-        "P": ("p", "position", "clip", "scene"),
+        "T": "t time frame frames",
+        "Y": "y height row rows",
+        "X": "x width col cols column columns",
+        "S": "s sample samples rgb rgba band bands",
+        "C": "c channel channels ch colour color",
+        "Z": "z depth plane focus level",
+        "P": "p position clip scene",
     }
     for letter, names in names_of_letter.items():
-        found = [k for k, name in enumerate(array.axes) if name is not None and name.lower() in names]
+        found = [k for k, name in enumerate(array.axes) if name is not None and name.lower() in names.split()]
         if found:
             letters[found[0]] = letter
     last = len(letters) - 1
@@ -165,17 +166,6 @@ def _read_times(array: LabelledArray, axis: str | None) -> FilmClock | None:
     resolution = 1e-9 if values.dtype.kind == "f" else seconds
     ticks = np.rint(values * (seconds / resolution)) if values.dtype.kind == "f" else values
     return read_clock(ticks, resolution, f"the coordinate {axis}") if math.isfinite(seconds) else None
-
-
-def _open(path: Path) -> list[LabelledArray]:
-    """All arrays of a store or file."""
-    if path.is_dir():
-        return list(_list_zarr(path))
-    with path.open("rb") as stream:
-        start = stream.read(4)
-    if start[:3] == b"CDF":
-        return list(_list_classic(path))
-    return list(_list_hdf5(path))
 
 
 def _list_zarr(path: Path) -> Iterator[LabelledArray]:
@@ -226,7 +216,9 @@ def _list_hdf5(path: Path) -> Iterator[LabelledArray]:
     for node in found:
         if node.dtype.kind not in "iuf":
             continue
-        axes = tuple(_name_hdf5_axis(node, k) for k in range(node.ndim))
+        # the name of an axis is that of its scale, as NetCDF has it, or its label
+        names = (d[0].name.rpartition("/")[2] if len(d) else d.label for d in (node.dims[k] for k in range(node.ndim)))
+        axes = tuple(str(name) or None for name in names)
 
         def find(axis: str, node: Any = node, axes: tuple[str | None, ...] = axes) -> tuple[NDArray[Any], str] | None:
             scales = node.dims[axes.index(axis)]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError, first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
 from tracker.camera.frame_times import describe_missing, drop_copies
-from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
+from tracker.camera.frames import Frames, make_grey_frames
 from tracker.camera.readers.tiff_stack import choose_light_conversion
 
 TIFF = (".tif", ".tiff")
@@ -39,8 +39,6 @@ def read_picture_folder(folder: Path, options: FilmOptions = DEFAULT_OPTIONS) ->
     """Frames of a folder of pictures. Raises InputError, which names the picture."""
     paths = list_pictures(folder)
     first = read_picture(paths[0])
-    check_pixel_type(paths[0], first.dtype)
-    check_frame_size(paths[0], first.shape)
 
     def fetch(k: int) -> Any:
         picture = read_picture(paths[k])
@@ -51,9 +49,15 @@ def read_picture_folder(folder: Path, options: FilmOptions = DEFAULT_OPTIONS) ->
         return picture
 
     recall = lru_cache(maxsize=KEPT_BYTES // max(first.nbytes, 1))(fetch)
-    frames = make_grey_frames(folder, len(paths), first.shape, first.dtype, recall)
+    frames = make_grey_frames(paths[0], len(paths), first.shape, first.dtype, recall)
     frames.lossy = paths[0].suffix.lower() in (".jpg", ".jpeg")
-    frames.faults = (*_describe_hidden(folder), *_describe_colours(paths[0]))
+    hidden = sorted(path.name for path in folder.iterdir() if path.is_file() and is_hidden_file(path))
+    if hidden:
+        shown = ", ".join(hidden[:3]) + (", ..." if len(hidden) > 3 else "")
+        frames.faults = (f"{len(hidden)} hidden file{'s are' if len(hidden) > 1 else ' is'} skipped: {shown}",)
+    if paths[0].suffix.lower() in TIFF:
+        with tifffile.TiffFile(paths[0]) as tif:
+            frames.faults += choose_light_conversion(tif.series[0].keyframe)[1]
     if options.times != "even":
         numbers, note = find_picture_numbers([path.name for path in paths])
         if numbers is not None:
@@ -87,25 +91,17 @@ def find_picture_numbers(names: list[str]) -> tuple[NDArray[np.int64] | None, st
     return number - number[0], ""
 
 
-def _describe_hidden(folder: Path) -> tuple[str, ...]:
-    """A note on files that an operating system has left."""
-    hidden = sorted(path.name for path in folder.iterdir() if path.is_file() and is_hidden_file(path))
-    shown = ", ".join(hidden[:3]) + (", ..." if len(hidden) > 3 else "")
-    return (f"{len(hidden)} hidden file{'s are' if len(hidden) > 1 else ' is'} skipped: {shown}",) if hidden else ()
-
-
-def _describe_colours(path: Path) -> tuple[str, ...]:
-    if path.suffix.lower() not in TIFF:
-        return ()
-    with tifffile.TiffFile(path) as tif:
-        return choose_light_conversion(tif.series[0].keyframe)[1]
-
-
 def read_picture(path: Path) -> Any:
     """Read a picture of a folder, in colour with red first. Raises InputError where it cannot be read."""
     if path.suffix.lower() in TIFF:
         try:
-            return _read_tiff(path)
+            with tifffile.TiffFile(path) as tif:
+                series = tif.series[0]
+                picture: Any = np.asarray(series.asarray())
+                paint = choose_light_conversion(series.keyframe)[0]
+            if series.axes.endswith("SYX") and picture.ndim == 3:  # red, green and blue apart
+                picture = np.moveaxis(picture, 0, -1)
+            return paint(picture) if paint is not None else picture
         except Exception as error:
             raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({first_line(error)})") from None
     try:
@@ -116,12 +112,3 @@ def read_picture(path: Path) -> Any:
     if picture is None:
         raise InputError(f"{path}: cannot be read as a picture, truncated or damaged")
     return picture[..., 2::-1] if picture.ndim == 3 else picture  # OpenCV gives blue first
-
-
-def _read_tiff(path: Path) -> Any:
-    with tifffile.TiffFile(path) as tif:
-        series = tif.series[0]
-        picture, paint = np.asarray(series.asarray()), choose_light_conversion(series.keyframe)[0]
-        if series.axes.endswith("SYX") and picture.ndim == 3:  # red, green and blue apart
-            picture = np.moveaxis(picture, 0, -1)
-    return paint(picture) if paint is not None else picture

@@ -1,8 +1,7 @@
 """Contacts of many balls against the events of the simulation, and what each contact and all of them say."""
 
 import functools
-from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -20,7 +19,7 @@ from tracker.measurement.crowd.contact_table import (
 from tracker.measurement.crowd.crowd_rows import estimate_contacts
 from tracker.measurement.crowd.track_contacts import find_track_contacts
 from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate
-from tracker.measurement.positions import BallTrack, to_ball_tracks
+from tracker.measurement.positions import to_ball_tracks
 from tracker.settings import FitSettings
 from tracker.tables.read import to_pixels
 from tracker.tables.table import TrackTable
@@ -101,64 +100,6 @@ def test_each_contact_gives_r_and_all_give_the_mean(scenes):
                 assert mean.shared_std[0] > 0.3 * mean.std[0]  # the way in which slides are modelled
     assert len(z) > 5 * len(scenes)
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5
-
-
-def test_many_contacts_do_not_average_out_how_their_slides_are_modelled():
-    """Sixty contacts of the same errors: the mean keeps 0.3 of the error of each, beside what others share."""
-    _, result = measured("tray", 1)
-    [row, *_] = [row for row in result.rows if row["recommended"] == "local" and row["r_local_std"] < 0.2]
-    count, std = 60, row["r_local_std"]
-    off = np.random.default_rng(1).normal(0, std, count)
-    rows = [row | {"collision": k} for k in range(count)]
-    table = pd.DataFrame({"collision": np.arange(count), "r": row["r_local"] + off, "r_std": std, "misfit": False})
-    table[["mu_bb", "mu_bb_std", "mu_k", "mu_k_std"]] = np.nan
-    mean = summarise_contacts(table, rows)["r"]
-    assert 0.3 * std < mean.std[0] < 0.45 * std
-    assert mean.std[0] > 2 * std / np.sqrt(count)
-
-
-@pytest.mark.parametrize("friction", [0.13, 0.2, 0.3])
-def test_a_kick_has_the_error_of_the_friction_that_a_single_contact_hides(friction):
-    """The film of one contact does not show the friction: the kick is off by a few per cent, noise or not."""
-    clip = synthcam.Scene.read("oblique", model={"sliding_friction": friction}).draw(seed=1)
-    read = to_pixels(TrackTable(add_noise(clip, 0.002)), "truth", clip.camera_json)
-    balls = to_ball_tracks(read.clips[0][0], read.camera)
-    [contact] = [each for each in find_track_contacts(balls, read.camera.ball_diameter) if len(each.balls) == 2]
-    [event] = clip.solve().events.query("kind == 'contact'").itertuples()
-    kick = event.impulse_n / (clip.model.ball.density * np.pi * clip.model.ball.diameter**3 / 6)
-    assert abs(contact.kick - kick) < 2 * contact.kick_std
-    assert 0.03 * kick < contact.kick_std < 0.06 * kick
-
-
-def test_the_contacts_of_the_greatest_evidence_show_the_friction():
-    """Doubtful contacts would show a friction of their own."""
-
-    @dataclass(frozen=True)
-    class Film:
-        settings: track_contacts.ContactFinderSettings
-        cuts: list = field(default_factory=list)
-
-        def cut(self, ball, frame, away):
-            self.cuts.append((ball, frame))
-
-        def gather(self, parts, gaps):
-            return parts
-
-        def fit(self, parts):
-            return SimpleNamespace(chi2=np.zeros(len(parts)))
-
-    frames = np.arange(0, 20)
-    still = np.tile(np.eye(2), (20, 1, 1))
-    balls = {n: BallTrack(n, frames, frames * 1e-3, np.zeros((20, 2)), still, 0.0) for n in (0, 1)}
-    gains = np.random.default_rng(1).permutation(np.arange(100.0, 112.0))
-    found = [
-        track_contacts.TrackContact(k * 1e-3, 1e-5, 0, 1, np.zeros(2), np.array([1.0, 0.0]), 0.1, 0.01, gain, 1.0, None)
-        for k, gain in enumerate(gains)
-    ]
-    film = Film(track_contacts.ContactFinderSettings(least_slides=3, most_slides=5))
-    track_contacts._fit_friction(found, balls, film)
-    best = np.flatnonzero(gains >= 107)
-    assert sorted(film.cuts) == [(ball, pytest.approx(k)) for ball in (0, 1) for k in best]
 
 
 @pytest.mark.gate

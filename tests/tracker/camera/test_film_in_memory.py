@@ -13,7 +13,7 @@ import tifffile
 
 import tracker
 from synthcam_shared.errors import InputError
-from tracker.camera.readers import array_file
+from tracker.camera import film_in_memory
 from tracker.camera.recordings import open_frames, open_source
 from tracker.tables.read import read_tracks
 
@@ -53,7 +53,7 @@ def test_it_is_not_read_into_memory(tmp_path):
     del header
     frames = open_source(tmp_path / "film.npy").clips[0][1]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(array_file, "drop_equal_pictures", lambda frames, fetch: frames)
+        patch.setattr(film_in_memory, "drop_equal_pictures", lambda frames, fetch: frames)
         assert open_frames(frames)[1500][7, 9] == 200
 
 
