@@ -56,27 +56,15 @@ def run_jobs(
 ) -> Iterator[JobValue[T] | LostJob]:
     """Do the work for each number, and yield the answers in the order in which the jobs end.
 
-    Raises InputError if three workers in a row are lost, or the scheduler cannot be used.
+    work: takes a number. It must pickle where there are several workers, and what it raises is raised here.
+    numbers: rising. workers: processes, of which this one is one; 0: one for each core that this process may use, if
+    the trial jobs show that this is quicker, else this one alone. scheduler: address of a Dask scheduler, whose workers
+    do all jobs instead. trials: jobs, spread evenly over the numbers, that this process does first where the number of
+    workers is open or `announce` is given. announce: takes a forecast after them if there is more to do.
+    worth_processes: processor time of the remaining jobs, s, from which on more processes are started; one takes half
+    as long as the default to load its libraries.
 
-    Parameters
-    ----------
-    work : callable
-        Takes a number. It must pickle where there are several workers. What it raises is raised here.
-    numbers : sequence of int
-        Rising.
-    workers : int
-        Processes, of which this one is one. 0: one for each core that this process may use, if the trial jobs show
-        that this is quicker, else this one alone.
-    scheduler : str
-        Address of a Dask scheduler, whose workers do all jobs in place of processes of this machine.
-    trials : int
-        Jobs, spread evenly over the numbers, that this process does first where the number of workers is open or
-        `announce` is given.
-    announce : callable, optional
-        Takes a `JobForecast` after the trial jobs if there is more to do.
-    worth_processes : float
-        Processor time of all remaining jobs, s, from which on more processes are started. A process takes half as
-        long as the default to load its libraries.
+    Raises InputError if three workers in a row are lost, or the scheduler cannot be used.
     """
     if scheduler:
         from synthcam_shared.dask_cluster import Cluster  # here alone: Dask is an optional dependency

@@ -1,5 +1,6 @@
 """Settings in YAML: read safely and strictly, with one clear line where they are wrong."""
 
+import errno
 import gc
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -53,14 +54,11 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """Keys and values of a YAML file. Raises InputError where it cannot be read or is not plain YAML."""
     try:
         text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: a folder, expected a YAML file") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: not text, expected a YAML file") from None
     except OSError as e:
-        raise InputError(f"{path}: cannot be read ({e.strerror})") from None
+        known = {errno.ENOENT: "no such file", errno.EISDIR: "a folder, expected a YAML file"}
+        raise InputError(f"{path}: {known.get(e.errno or 0, f'cannot be read ({e.strerror})')}") from None
     try:
         loaded = parse_yaml(text)
     except yaml.YAMLError as e:
