@@ -141,9 +141,8 @@ class _RoundedLines:
         gap, reach = np.diff(x), level_share * (x[-1] - x[0])
         slope = _slopes(gap, np.arange(len(x)), len(x))
         bend = np.concatenate([slope[:1], np.diff(slope, axis=0), -slope[-1:]])
-        width = np.concatenate(
-            [[reach / (GAUSSIAN_REACH - 1)], GAUSSIAN_WIDTH * (gap[1:] + gap[:-1]) / 2, [reach / (GAUSSIAN_REACH - 1)]]
-        )
+        ends = [reach / (GAUSSIAN_REACH - 1)]
+        width = np.concatenate([ends, GAUSSIAN_WIDTH * (gap[1:] + gap[:-1]) / 2, ends])
         return cls(x, 0.0, np.concatenate([[x[0] - reach], x[1:-1], [x[-1] + reach]]), width, bend)
 
     @classmethod

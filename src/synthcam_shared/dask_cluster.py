@@ -36,9 +36,8 @@ class Cluster:
         try:
             self.client = Client(address, timeout=timeout, set_as_default=False)
         except Exception as error:  # for a wrong address Dask raises what each of its protocols raises
-            raise InputError(
-                f"--scheduler {address}: expected a Dask scheduler's address ({_one_line(error)})"
-            ) from None
+            reason = " ".join(str(error).split())[:120]
+            raise InputError(f"--scheduler {address}: expected a Dask scheduler's address ({reason})") from None
         self.address = address
         if not self.client.nthreads():
             self.client.close()
@@ -78,10 +77,6 @@ class Cluster:
                 yield result or LostJob(number, "its workers were lost")
                 for k in islice(queue, 1):
                     running.add(submit(k))
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:120]
 
 
 def _take(work: Callable[[int], Any]) -> Callable[[int], Any]:

@@ -197,9 +197,8 @@ def _run_in_processes(
                     end = worker.end()
                     lost_in_a_row += 1
                     if lost_in_a_row == most_lost_in_a_row:
-                        raise InputError(
-                            f"clip {number}: {end}, the third in a row; is there enough memory for each worker?"
-                        ) from None
+                        why = f"{end}, the third in a row; is there enough memory for each worker?"
+                        raise InputError(f"clip {number}: {why}") from None
                     queue.extendleft(reversed(worker.numbers))
                     hand_out(_Worker(packed))
                     yield LostJob(number, f"its {end}")

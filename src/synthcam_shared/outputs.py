@@ -172,9 +172,8 @@ def open_scratch_folder(final: Path) -> Iterator[Path]:
     beside = final.with_name(f"{final.name}.tmp")
     with lock_folder(beside):
         if any(beside.iterdir()) and not (beside / UNFINISHED).exists():
-            raise InputError(
-                f"{beside}: holds something else; {final.name} is made there: remove it or choose another -o"
-            )
+            advice = f"{final.name} is made there: remove it or choose another -o"
+            raise InputError(f"{beside}: holds something else; {advice}")
         try:
             (beside / UNFINISHED).touch()
             for leftover in beside.iterdir():

@@ -140,9 +140,8 @@ class _Loader(SafeLoader):
             try:
                 text.encode()
             except UnicodeEncodeError:
-                raise yaml.MarkedYAMLError(
-                    problem="half a character, a surrogate of UTF-16", problem_mark=node.start_mark
-                ) from None
+                problem = "half a character, a surrogate of UTF-16"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from None
         return text
 
 

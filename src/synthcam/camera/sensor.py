@@ -151,10 +151,8 @@ class _Background:
                 self.owner[members] = len(self.groups)
                 mean = float(means.flat[members].mean())
                 shift.flat[members] = means.flat[members] - mean
-                body, tails = (
-                    np.ascontiguousarray(electrons / sensor.gain, dtype=np.float32)
-                    for electrons in tabulate_noise(mean, sensor.read_noise)
-                )
+                tables = (table / sensor.gain for table in tabulate_noise(mean, sensor.read_noise))
+                body, tails = (np.ascontiguousarray(table, dtype=np.float32) for table in tables)
                 self.groups.append((members, body, tails))
         self.level = ((shift + chip.offset) / sensor.gain + sensor.black_level).astype(np.float32)
 
@@ -170,9 +168,8 @@ class _Background:
             for members, body, _ in self.groups:
                 noise[members] = body[cells[members]]
         self._draw_tails(noise, cells, rng)
-        counts: Any = cv2.add(
-            noise.reshape(shape), self.level, dtype=cv2.CV_8U if bits <= 8 else cv2.CV_16U
-        )  # rounds half to even and saturates
+        kind = cv2.CV_8U if bits <= 8 else cv2.CV_16U
+        counts: Any = cv2.add(noise.reshape(shape), self.level, dtype=kind)  # rounds half to even and saturates
         return np.asarray(counts if bits in (8, 16) else np.minimum(counts, (1 << bits) - 1))
 
     def _draw_tails(self, noise: Float32, cells: NDArray[np.uint16], rng: np.random.Generator) -> None:

@@ -16,9 +16,8 @@ IRON_N_K = (2.95, 2.93)  # at 549 nm: Johnson & Christy 1974, Phys. Rev. B 9, 50
 class Surface:
     """Surfaces of balls and plate. Roughness broadens a glint by a Gaussian; its flux stays the same."""
 
-    steel: tuple[float, float] | None = (
-        None  # n and k of the balls' metal (IRON_N_K: 51 % head-on); None: Schlick's law
-    )
+    # n and k of the balls' metal (IRON_N_K: 51 % head-on); None: Schlick's law
+    steel: tuple[float, float] | None = None
     roughness: float = 0.0  # rms slope of the balls' surface along each axis
     scratches: float = 0.0  # share of the light in a wider lobe
     scratch_slope: float = 0.1  # rms, of that lobe

@@ -64,10 +64,8 @@ def draw_effect(effect: Effect, path: Path) -> float:
     right.set(xlabel="time, ms", ylabel="with minus without the effect, µm", title="shift by the effect")
     for half in halves:
         half.legend(fontsize="small", loc="outside lower center", ncols=2)
-    values = ", ".join(
-        f"{p.name} = {getattr(effect, p.name):g} {p.unit}".removesuffix(" 1") for p in effect.parameters()
-    )
-    figure.suptitle(f"{effect.name()}: {values}")
+    values = (f"{p.name} = {getattr(effect, p.name):g} {p.unit}".removesuffix(" 1") for p in effect.parameters())
+    figure.suptitle(f"{effect.name()}: {', '.join(values)}")
     drawn = BytesIO()
     kind = path.suffix.lower().lstrip(".") or "png"
     figure.savefig(drawn, format=kind, dpi=120, metadata={"Software": None} if kind == "png" else None)

@@ -389,10 +389,8 @@ class _BatchSolver:
             mine = np.concatenate([who[units], who[units] + n])
             still = np.flatnonzero(modes[mine] == REST)
             if len(still):
-                places = step.motion.at(step.durations[:, None] * np.linspace(0, 1, samples))[..., :2].transpose(
-                    2, 0, 1
-                )
-                other = places[:, (still + len(units)) % len(mine)]
+                sampled = step.motion.at(step.durations[:, None] * np.linspace(0, 1, samples))
+                other = sampled[..., :2].transpose(2, 0, 1)[:, (still + len(units)) % len(mine)]
                 loose = excess_push(self.model, self.bodies[mine[still]], states[mine[still]], other).max(axis=1) > 0
                 self.out.restarting |= set((mine[still[loose]] % n).tolist())
             self._add_step(mine, step, states, now)
@@ -471,9 +469,8 @@ class _BatchSolver:
             for some in _group_by_size(who, speed * (end - now[who])):
                 self._propagate(some, states, now)
             return
-        ends = np.minimum(
-            end, now[who] + kinematics.stop_time(speed, self.model.rolling_drag, self.model.rolling_decel)
-        )
+        lasts = kinematics.stop_time(speed, self.model.rolling_drag, self.model.rolling_decel)
+        ends = np.minimum(end, now[who] + lasts)
         leg = self._add_roll(who, states[who], now[who], ends, now[who])
         states[who] = leg.states(ends[:, None])[:, 0]
         stopped = ends != end
@@ -483,10 +480,8 @@ class _BatchSolver:
 
     def _add_roll(self, who: Index, states: Array, begins: Array, ends: Array, time: Array) -> RollSegment:
         """Add rolls in closed form through these states at `time`."""
-        model = self.model
-        leg = RollSegment(
-            who, begins, ends, time, states, self.bodies.radius[who], model.rolling_drag, model.rolling_decel
-        )
+        loss = self.model.rolling_drag, self.model.rolling_decel
+        leg = RollSegment(who, begins, ends, time, states, self.bodies.radius[who], *loss)
         self.out.segments.append(leg)
         return leg
 

@@ -161,16 +161,14 @@ def integrate_by_collocation(
         decays = MAX_LAST_COEFFICIENT < tail < 1  # the coefficients, as we assume geometrically
         wanted = size * np.log(MAX_LAST_COEFFICIENT) / np.log(tail) if decays else np.inf
         more = next((n for n in NODE_COUNTS if n >= max(wanted, size + 1)), None)
-        if more is not None:
-            stack.append(
-                (end, depth, more, None if runaway else multiply_on_nodes(values, refine_matrix(size, more, 0)))
-            )
-        elif depth < max_halvings:
+        sides = {0: end}  # the ends of the pieces to solve next, the last one first
+        if more is None and depth < max_halvings:
             more = next((n for n in NODE_COUNTS if n >= wanted / 2), NODE_COUNTS[-1])
-            halves = [
-                None if runaway else multiply_on_nodes(values, refine_matrix(size, more, side)) for side in (-1, 1)
-            ]
-            stack += [(end, depth + 1, more, halves[1]), (middle, depth + 1, more, halves[0])]
+            sides, depth = {1: end, -1: middle}, depth + 1
+        if more is not None:
+            for side, until in sides.items():
+                better = None if runaway else multiply_on_nodes(values, refine_matrix(size, more, side))
+                stack.append((until, depth, more, better))
         else:
             raise ValueError("a leg could not be integrated: a law of motion is not smooth there")
     return pieces

@@ -43,9 +43,8 @@ def make_leg(motion: IntegratedMotion, ball: int, mode: int, now: float) -> Leg:
     own = motion[np.array([ball])].shift(np.array([now]))
     ends = sorted((now + float(motion.begins[ball]), now + float(motion.begins[ball] + motion.durations[ball])))
     if mode == REST:
-        return RestLeg(
-            ends[0], ends[1], to_rest(tuple(motion.states[ball].tolist()), float(motion.bodies.radius[ball]))
-        )
+        still = to_rest(tuple(motion.states[ball].tolist()), float(motion.bodies.radius[ball]))
+        return RestLeg(ends[0], ends[1], still)
     lift = motion.gravity if mode == FLY else 0.0
     return NumericLeg.of(ends[0], ends[1], NAMES[mode], lambda times: own.at(times[None])[0], lift)
 
@@ -121,11 +120,8 @@ class InteractingPair:
         for k in loose:
             started.append(make_start_event(self.model, self.bodies[k : k + 1], k, states[k], t, rows[1 - k]))
         if np.all(modes == REST) and not loose:
-            return (
-                [RestLeg(t, math.inf, to_rest(states[k], float(self.bodies.radius[k]))) for k in (0, 1)],
-                math.inf,
-                [],
-            )
+            still = (to_rest(states[k], float(self.bodies.radius[k])) for k in (0, 1))
+            return [RestLeg(t, math.inf, state) for state in still], math.inf, []
         goal = np.array([max(self.end - t, 0.0) + LEAD_TIME_S])
         motion, over = self._propagate(rows, modes, loose, goal)
         until = t + float(motion.durations[0])

@@ -145,9 +145,8 @@ class PhaseIntegrator:
             found[ROLL] = self.forces[ROLL].accelerate_rolling(*known(ROLL))
         if self.slides:
             own = rows[SLIDE]
-            slowing, across, push, twist = self.forces[SLIDE].act_on_sliding(
-                slip[own], y[:2, own], (y[2] * spins)[own], *known(SLIDE)
-            )
+            state = slip[own], y[:2, own], (y[2] * spins)[own], *known(SLIDE)
+            slowing, across, push, twist = self.forces[SLIDE].act_on_sliding(*state)
             found[SLIDE] = self.push_share[own] * push
             if len(found) > 1 or not isinstance(own, slice):
                 slowing, across, twist = (_scatter(f, own, shape) for f in (slowing, across, twist))
@@ -203,9 +202,8 @@ class PhaseIntegrator:
                 cos, sin = (1 - half * half) / (1 + half * half), 2 * half / (1 + half * half)
                 y[0], y[1] = y[0] * cos - y[1] * sin, y[1] * cos + y[0] * sin
                 y[2], y[3] = y[2] + twist * t, left
-            y[at + 2 : at + 4] += (
-                start[at : at + 2] + dq / 2 * t + (first + left) / 2 * self.slip_share * self.hat
-            ) * t
+            slipping = (first + left) / 2 * self.slip_share * self.hat
+            y[at + 2 : at + 4] += (start[at : at + 2] + dq / 2 * t + slipping) * t
             y[at : at + 2] += dq * t
             return y
 
@@ -220,9 +218,8 @@ class PhaseIntegrator:
         few = first_nodes if len(knots) > 2 else NODE_COUNTS[0]
         guess, feed, pieces = self.make_guess(), self.count_feedback_parts(), list[tuple[Array, Array]]()
         sound = np.ones(len(self.modes), dtype=bool)
-        for z, y in integrate_by_collocation(
-            self.right_hand_side, knots, self.start[..., 0], guess, few=few, feed=feed
-        ):
+        start = self.start[..., 0]
+        for z, y in integrate_by_collocation(self.right_hand_side, knots, start, guess, few=few, feed=feed):
             slip, _ = self.slip_speed(z, y)
             if self.free:
                 sound &= (self.modes != SLIDE) | self.ends[:, 0] | (y[3] > self.least).all(axis=1)

@@ -128,9 +128,8 @@ class FlightSegment(Segment):
         return fly(self.state, self.gravity, times - self.begins[:, None])
 
     def average_centres(self, middle: Array, wide: Real) -> Array:
-        return np.asarray(
-            _with_axes_first(self.state[:, :2]) + _with_axes_first(self.state[:, 3:5]) * (middle - self.begins[:, None])
-        )
+        x, v = _with_axes_first(self.state[:, :2]), _with_axes_first(self.state[:, 3:5])
+        return np.asarray(x + v * (middle - self.begins[:, None]))
 
 
 @dataclass(frozen=True)

@@ -226,21 +226,17 @@ class _EventLoop:
             legs = [self._slide(k, state, time, slip) if slides else self._roll(k, state, time, speed, self.start)]
             legs[0].t0, legs[0].t1 = self.start, time
         else:
-            row, span = np.array([state]), np.array([self.start - time])
-            legs = [
-                make_leg(motion, 0, SLIDE if slides else ROLL, time)
-                for _, motion in propagate_back(
-                    BallStates.without_drilling(self.model, self._body(k), row), 0 * span, span
-                )
-            ][::-1]
+            span = np.array([self.start - time])
+            ball = BallStates.without_drilling(self.model, self._body(k), np.array([state]))
+            motions = (motion for _, motion in propagate_back(ball, 0 * span, span))
+            legs = [make_leg(motion, 0, SLIDE if slides else ROLL, time) for motion in motions][::-1]
         try:
             speed = math.hypot(*legs[0].now(self.start)[3:5])
         except OverflowError:
             speed = math.inf
         if not speed <= MAX_SPEED_M_S:
-            raise ValueError(
-                f"a ball would have had to come faster than {MAX_SPEED_M_S:g} m/s, {time - self.start:g} s earlier"
-            )
+            earlier = f"{MAX_SPEED_M_S:g} m/s, {time - self.start:g} s earlier"
+            raise ValueError(f"a ball would have had to come faster than {earlier}")
         return legs
 
     def _next_leg(self, k: int, state: State, t: float) -> Leg:
@@ -331,9 +327,8 @@ class _EventLoop:
         return after
 
     def _record_event(self, kind: str, k: int, before: State, after: State) -> None:
-        self.events.append(
-            Event(self.t, kind, k, before=np.array([before]), after=np.array([after]))  # type: ignore[arg-type]
-        )
+        rows = np.array([before]), np.array([after])
+        self.events.append(Event(self.t, kind, k, -1, *rows))  # type: ignore[arg-type]
         self._start_legs({k: after})
 
     def _collide(self, i: int, j: int) -> None:
@@ -354,9 +349,8 @@ class _EventLoop:
             return
         if lasts:
             states[j] = _approach(states[i], states[j])
-        target, striker, n, along_n, along_t = collide_pair(
-            self.model, states[i], states[j], self.own[i], self.own[j], change
-        )
+        own = self.own[i], self.own[j]
+        target, striker, n, along_n, along_t = collide_pair(self.model, states[i], states[j], *own, change)
         slowest = MIN_IMPACT_SPEED_OF_PAIR_M_S if self.pairing else MIN_IMPACT_SPEED_M_S
         before: Array = np.array((states[i], states[j]))
         drawn = dict(change.drawn) if change else {}

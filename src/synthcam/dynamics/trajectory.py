@@ -71,10 +71,8 @@ class ClosedLeg(Leg):
     state: State
 
     def at(self, t: Array) -> Array:
-        elapsed = t - self.time
-        return kinematics.stack_components(
-            self.after(kinematics.split_components(np.array(self.state)), elapsed), elapsed
-        )
+        state = kinematics.split_components(np.array(self.state))
+        return kinematics.stack_components(self.after(state, t - self.time), t)
 
     def now(self, t: float) -> State:
         return self.after(self.state, t - self.time)

@@ -202,10 +202,7 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
     Raises InputError where bodies overlap or lie in a wall or beyond it, and where their numbers differ.
     """
     launches, kinds = drawn["launches"], list_kinds(drawn)
-    if len(kinds) != len(launches):
-        raise InputError(
-            f"{where}: bodies: {len(kinds)} of them and {len(launches)} launches; expected as many, or one"
-        )
+    check_counts(kinds, launches, where)
     bodies = _build_bodies(model, kinds)
     supports = tuple(_build_support(model, **(kind.get("support") or drawn["support"])) for kind in kinds)
     walls = tuple(_build_wall(**wall) for wall in drawn["walls"])
@@ -257,6 +254,13 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
         spring=ContactSpring(**force) if force else None,
     )
     return Launch(0.0, states, bodies, tuple(later)), table
+
+
+def check_counts(kinds: list[Any], launches: list[Any], where: str) -> None:
+    """Raise InputError unless as many kinds of bodies are listed as launches."""
+    if len(kinds) != len(launches):
+        both = f"{len(kinds)} of them and {len(launches)} launches"
+        raise InputError(f"{where}: bodies: {both}; expected as many, or one")
 
 
 def list_kinds(drawn: dict[str, Any]) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from synthcam.model import Model
-from synthcam.scene.bodies import MAX_BODIES, BodySettings, Point
+from synthcam.scene.bodies import MAX_BODIES, BodySettings, Point, check_counts
 from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import NotNegative, Settings
@@ -47,10 +47,7 @@ def place_groups(model: Model, drawn: dict[str, Any], seed: tuple[int, int], whe
     listed = kinds if isinstance(kinds, list) else [kinds] * len(launches)
     if isinstance(kinds, list) and any("body" not in group for group in drawn["groups"]):
         raise InputError(f"{where}: bodies: a list beside groups; expected one kind, or a `body` in each group")
-    if isinstance(kinds, list) and len(kinds) != len(launches):
-        raise InputError(
-            f"{where}: bodies: {len(kinds)} of them and {len(launches)} launches; expected as many, or one"
-        )
+    check_counts(listed, launches, where)
     taken = np.array([launch["position"] for launch in launches]).reshape(-1, 2)
     radii = np.array([_radius(model, kind) for kind in listed])
     every = list(listed)
@@ -89,11 +86,8 @@ def place_groups(model: Model, drawn: dict[str, Any], seed: tuple[int, int], whe
 
 def _radius(model: Model, kind: dict[str, Any]) -> float:
     """The largest radius that a body of this kind has, m, whatever effects make of it."""
-    return float(
-        (kind.get("diameter") or model.ball.diameter)
-        / model.ball.diameter
-        * max(model.bodies([kind["label"]]).radius[0], model.ball.radius)
-    )
+    largest = max(model.bodies([kind["label"]]).radius[0], model.ball.radius)
+    return float((kind.get("diameter") or model.ball.diameter) / model.ball.diameter * largest)
 
 
 def _lattice(rng: np.random.Generator, count: int, size: list[float], least: float, key: str) -> Array:
@@ -155,9 +149,8 @@ def _random(
         for _ in range(max_tries):
             at = rng.uniform(-half, half)
             column, row = (int(c) for c in np.floor(at / least))
-            near = [
-                p for c in range(column - 1, column + 2) for r in range(row - 1, row + 2) for p in cells.get((c, r), ())
-            ]
+            around = itertools.product(range(column - 1, column + 2), range(row - 1, row + 2))
+            near = itertools.chain.from_iterable(cells.get(cell, ()) for cell in around)
             free = all((at[0] - p[0]) ** 2 + (at[1] - p[1]) ** 2 >= least**2 for p in near)
             if free and (np.hypot(*(others[0] - at).T) >= others[1]).all():
                 cells.setdefault((column, row), []).append(at)

@@ -26,7 +26,7 @@ from synthcam.model import (
     table_settings,
 )
 from synthcam.scene.apparatus import CameraSettings, SceneLampSettings, SensorSettings, SurfaceSettings, VideoSettings
-from synthcam.scene.bodies import MAX_BODIES, MAX_WALLS, ManyBodiesSettings
+from synthcam.scene.bodies import MAX_BODIES, MAX_WALLS, ManyBodiesSettings, Point
 from synthcam.scene.clip import Clip, build_clip
 from synthcam.scene.distribution import (
     draw_settings,
@@ -42,10 +42,6 @@ from synthcam_shared.arguments import check_arguments
 from synthcam_shared.settings import NotNegative, Positive, Settings, build_settings, parse_yaml
 
 MAX_GROUPS = 100
-
-Position = Annotated[
-    list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=2, max_length=2)
-]  # m, on the plate
 
 Speed = Annotated[float, Field(ge=-1e3, le=1e3)]  # m/s
 
@@ -70,7 +66,7 @@ class LaunchSettings(Settings):
     b: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     heading: Annotated[float, AfterValidator(_check_radians)] = 0.0
     striker: Literal["a", "b"] = "b"
-    contact: Literal["upstream"] | Position = "upstream"
+    contact: Literal["upstream"] | Point = "upstream"
     slip_along: Speed = 0.0
     slip_across: Speed = 0.0
     side: Speed = 0.0

@@ -119,9 +119,8 @@ def write_animation(
         raise InputError(f"fps {fps:g} and slower {slower:g}: expected numbers over 0")
     count = int((motion.t1 - motion.t0) * slower * fps) + 1
     if count < 2:
-        raise InputError(
-            f"{path}: {count} frame; expected a larger fps or slower for a motion of {motion.t1 - motion.t0:g} s"
-        )
+        wanted = f"expected a larger fps or slower for a motion of {motion.t1 - motion.t0:g} s"
+        raise InputError(f"{path}: {count} frame; {wanted}")
     frames = list(_draw_frames(motion, bodies, walls, np.linspace(motion.t0, motion.t1, count)))
     if path.suffix.lower() == ".gif":
         iio.imwrite(path, frames, duration=1000 / fps, loop=0)

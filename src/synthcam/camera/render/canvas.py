@@ -192,10 +192,8 @@ def get_canvas() -> Canvas:
 
 
 def _no_gl(why: str) -> str:
-    absent = windowless.list_missing_packages()
-    advice = (
-        f"missing (Debian, Ubuntu): apt install {' '.join(absent)}" if absent else "all its libraries are installed"
-    )
+    absent = " ".join(windowless.list_missing_packages())
+    advice = f"missing (Debian, Ubuntu): apt install {absent}" if absent else "all its libraries are installed"
     return f"no off-screen OpenGL ({os.environ.get('PYOPENGL_PLATFORM')}): {why}; {advice}"
 
 

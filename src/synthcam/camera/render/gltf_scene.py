@@ -117,9 +117,8 @@ def _scene(
     side = 1.5 * max(camera["size"]) * camera["scale"]
     plate = untyped.creation.box([side, side, thickness])
     plate.unmerge_vertices()  # with shared corners it would be shaded like a dome
-    black, steel = (
-        material(name=n, metallicFactor=1.0, roughnessFactor=r) for n, r in {"plate": 1.0, "steel": rough}.items()
-    )
+    steel = material(name="steel", metallicFactor=1.0, roughnessFactor=rough)
+    black = material(name="plate", metallicFactor=1.0, roughnessFactor=1.0)
     add("plate", plate, [0.0, 0.0, plate_z - thickness / 2], black)
     for k, ball in enumerate(balls):
         body = _body(ball)

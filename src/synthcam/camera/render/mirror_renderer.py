@@ -146,9 +146,8 @@ class MirrorRenderer(Renderer):
             curved = camera.project((seen + side - camera.t) @ camera.R) - middle - slope @ (camera.R.T @ side)
             bend = max(bend, float(np.linalg.norm(curved[inside], axis=1).max(initial=0)))
         if bend > 0.05:
-            raise ValueError(
-                f"camera distortion {camera.dist.tolist()} bends a ball's outline by {bend:.2g} px, more than 0.05"
-            )
+            outline = f"bends a ball's outline by {bend:.2g} px, more than 0.05"
+            raise ValueError(f"camera distortion {camera.dist.tolist()} {outline}")
 
     def _draw_plate(self) -> Float32:
         w, h = self.camera.size

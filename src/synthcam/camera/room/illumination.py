@@ -113,12 +113,8 @@ class Illumination:
         self.bounces = [tables.get((c.tobytes(), r)) for c, r in zip(self.colours, radii.tolist(), strict=True)]
         slant = max(np.hypot(*c.position[:2]) / c.position[2] for c in self.cells)
         far = max(REACH_RADII, 1.5 * slant + np.hypot(slant, 1) + 1)
-        self.reaches = np.array(  # radii
-            [
-                1 + disc.height / disc.radius * max(1.5 * slant, DISC_REACH_HEIGHTS) if disc else far
-                for disc in self.discs
-            ]
-        )
+        falls = max(1.5 * slant, DISC_REACH_HEIGHTS)
+        self.reaches = np.array([1 + d.height / d.radius * falls if d else far for d in self.discs])  # radii
         self.reach = float(self.reaches.max())
 
     def _sources(self, radius: float, spots: Array) -> list[LightSource]:
@@ -153,9 +149,8 @@ class Illumination:
             if not len(near):
                 continue
             others = np.ones(bare.shape)
-            for k in np.flatnonzero(
-                np.hypot(*(centres - centre)[:, :2].T) < 2 * self.reach * self.radii.max()
-            ).tolist():
+            apart = np.hypot(*(centres - centre)[:, :2].T)
+            for k in np.flatnonzero(apart < 2 * self.reach * self.radii.max()).tolist():
                 if k != ball:
                     others[shares[k][0]] *= shares[k][1]
             others = others[near]
@@ -195,22 +190,13 @@ class Illumination:
     def _unshadowed_shares(self, ball: int, points: Array, centre: Array, soft: float = 0.0) -> tuple[Index, Array]:
         """Points that a ball shadows, and the shares (n, 1 + cells) of the light of sky and lamps that it leaves."""
         near, fade = self._near(ball, points, centre, self.reach)
+        at = points[near]
         if disc := self.discs[ball]:
-            far = np.hypot(points[near, 0] - centre[0], points[near, 1] - centre[1])
-            shares = [1 - fade * disc.hide_sky(far)]
-            for cell in self.cells:
-                way, size = _direction_and_size(cell, points[near])
-                shares.append(disc.find_visible_share(points[near], way, size, centre, soft))
-            return near, np.stack(shares, axis=1)
-        offset = centre - points[near]
-        far = np.sqrt(dot(offset, offset))
-        wide = np.arcsin(np.clip(self.radii[ball] / far, 0, 1))
-        shares = [1 - fade * compute_form_factor(np.broadcast_to(UP, offset.shape), offset, self.radii[ball])]
-        for cell in self.cells:
-            way, size = _direction_and_size(cell, points[near])
-            apart = np.arccos(np.clip(dot(offset, way) / far, -1, 1))
-            shares.append(visible_fraction(np.hypot(size, 2 * soft / far), wide, apart))
-        return near, np.stack(shares, axis=1)
+            hidden = disc.hide_sky(np.hypot(at[:, 0] - centre[0], at[:, 1] - centre[1]))
+        else:
+            hidden = compute_form_factor(np.broadcast_to(UP, at.shape), centre - at, self.radii[ball])
+        lamps = (self._visible_share(ball, cell, at, centre, soft) for cell in self.cells)
+        return near, np.stack([1 - fade * hidden, *lamps], axis=1)
 
     def on_ball(
         self, ball: int, points: Array, normals: Array, centres: Array, exchange: LightExchange | None = None
@@ -236,11 +222,15 @@ class Illumination:
             plate = self._from_plate(ball, normals, centres)
         return np.asarray((lamps + sky)[:, None] + plate)
 
-    def _visible_share(self, ball: int, cell: LampCell, points: Array, centre: Array) -> Array:
-        """Share (n,) of a lamp's cell that a ball leaves visible from points on other bodies."""
+    def _visible_share(self, ball: int, cell: LampCell, points: Array, centre: Array, soft: float = 0.0) -> Array:
+        """Share (n,) of a lamp's cell that a ball leaves visible from points outside it. soft: as of `on_plate`."""
+        way, size = _direction_and_size(cell, points)
         if disc := self.discs[ball]:
-            return disc.find_visible_share(points, *_direction_and_size(cell, points), centre)
-        return _visible_share(cell, points, centre, float(self.radii[ball]))
+            return disc.find_visible_share(points, way, size, centre, soft)
+        offset, radius = centre - points, float(self.radii[ball])
+        far = np.maximum(np.sqrt(dot(offset, offset)), radius)
+        apart = np.arccos(np.clip(dot(offset, way) / far, -1, 1))
+        return visible_fraction(np.hypot(size, 2 * soft / far), np.arcsin(np.clip(radius / far, 0, 1)), apart)
 
     def _neighbours(self, ball: int, centres: Array, reach: float = np.inf) -> list[int]:
         """Other balls up to `reach` radii away, or as far as a shadow falls; of two balls the other one."""
@@ -285,9 +275,8 @@ class Illumination:
         if len(centres) == 1 or self.quick:
             return None
         balls = [k for k, disc in enumerate(self.discs) if disc is None]  # of discs one sees little but the top
-        pairs = [
-            (a, b) for a in balls for b in self._neighbours(a, centres, EXCHANGE_REACH_RADII) if self.discs[b] is None
-        ]
+        near = ((a, self._neighbours(a, centres, EXCHANGE_REACH_RADII)) for a in balls)
+        pairs = [(a, b) for a, others in near for b in others if self.discs[b] is None]
         if not pairs:
             return None
         many = len(centres) > 2  # seen from many sides: each ball's own light is looked up in a table
@@ -329,9 +318,8 @@ class Illumination:
             direct = self._direct(b, centres[b] + self.radii[b] * face, face, centres)
         plate = self._from_plate(a, normals, centres) / np.maximum((1 - normals[:, 2:]) / 2, 1e-3)
         hidden = np.where(ways[..., 2:] > 0, self.finish.ambient, plate[:, None])
-        return BallView(
-            a, b, axes, weights, face, direct, hidden, compute_form_factor(normals, centres[b] - points, self.radii[b])
-        )
+        share = compute_form_factor(normals, centres[b] - points, self.radii[b])
+        return BallView(a, b, axes, weights, face, direct, hidden, share)
 
     def radiance(
         self, ball: int, points: Array, ways: Array, among: BallsAtMoment, paint: Array, mirrors: int | None = None
@@ -395,15 +383,6 @@ def _direction_and_size(cell: LampCell, points: Array) -> tuple[Array, Array]:
     way = way / far[:, None]
     area = cell.area * np.maximum(-(way @ cell.facing), 1e-6)
     return way, np.sqrt(area / np.pi) / far
-
-
-def _visible_share(cell: LampCell, points: Array, centre: Array, radius: float) -> Array:
-    """Share (n,) of a lamp's cell that a ball leaves visible."""
-    offset = centre - points
-    far = np.maximum(np.sqrt(dot(offset, offset)), radius)
-    way, size = _direction_and_size(cell, points)
-    apart = np.arccos(np.clip(dot(offset, way) / far, -1, 1))
-    return np.asarray(visible_fraction(size, np.arcsin(np.clip(radius / far, 0, 1)), apart))
 
 
 def _irradiance(cell: LampCell, points: Array, normals: Array) -> Array:

@@ -91,10 +91,8 @@ class RoomRenderer(Renderer):
             for top in range(0, h, 64):
                 n = min(64, h - top)
                 down = (np.arange((n + 2 * margin) * FINENESS) + 0.5) / FINENESS - 0.5 - margin + top
-                points = self._meet_plate(across, down)
-                fine = texture.compute_texture(self.finish, points[..., :2].reshape(-1, 2)).reshape(
-                    *points.shape[:2], -1
-                )
+                points = self._meet_plate(across, down)[..., :2]
+                fine = texture.compute_texture(self.finish, points.reshape(-1, 2)).reshape(*points.shape[:2], -1)
                 columns = blur_matrix(n + 4 * margin, margin, FINENESS, sigma)[2 * margin : 2 * margin + n]
                 for c in range(fine.shape[2]):
                     relief[top : top + n, :, c] = columns @ fine[..., c] @ rows.T
@@ -227,9 +225,8 @@ class RoomRenderer(Renderer):
         """Share of each sample that a body covers, and its distance, m."""
         if disc := self.shade.discs[ball]:
             miss, _ = disc.find_miss(self.camera.centre, way, centres[ball])
-            return measure_shares_covered_by_body(miss, disc.radius), disc.meet(self.camera.centre, way, centres[ball])[
-                1
-            ]
+            _, far = disc.meet(self.camera.centre, way, centres[ball])
+            return measure_shares_covered_by_body(miss, disc.radius), far
         offset, radius = centres[ball] - self.camera.centre, self.radii[ball]
         along = way @ offset
         aside = offset - along[..., None] * way

@@ -42,9 +42,8 @@ def _wood(points: Array, table: Array) -> Array:
     phase = ring % 1
     strength = table[np.floor(ring).astype(np.int64) & (RANDOM_NUMBERS - 1)]  # of the year's growth
     rings = strength * (np.where(phase < 0.85, (phase / 0.85) ** 2, (1 - phase) / 0.15) - 0.4)  # a ring ends abruptly
-    pores = _noise(x / (40 * pore_width), y / pore_width, table) + _noise(
-        x / (15 * pore_width), y / (2 * pore_width), table
-    )
+    pores = _noise(x / (40 * pore_width), y / pore_width, table)
+    pores = pores + _noise(x / (15 * pore_width), y / (2 * pore_width), table)
     swing = _noise(x / 0.5, y / 0.04, table) - 0.5
     return np.asarray(-0.3 * rings - 0.16 * np.maximum(pores - 1, 0) + 0.25 * swing)
 

@@ -46,9 +46,8 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
             paint = partial(finish.balls[number].paint, sharp=0.02) if finish and matte else None
             balls.append(BallMotion(radius, height, times, positions, *_turns(times, spins, first), paint))
         look = _light_room(drawn) if finish else _light_mirrors(drawn)
-        (folder / f"{clip.number:06d}.glb").write_bytes(
-            make_glb(clip.camera_json, balls, steel=drawn.surface.head_on, plate_z=drawn.plate_z, **look)
-        )
+        look |= {"steel": drawn.surface.head_on, "plate_z": drawn.plate_z}
+        (folder / f"{clip.number:06d}.glb").write_bytes(make_glb(clip.camera_json, balls, **look))
 
 
 def _light_room(clip: Clip) -> dict[str, Any]:
@@ -111,9 +110,8 @@ def _keys(ball: pd.DataFrame, jumps: Array) -> tuple[Array, Array, Array]:
 
     Also the spins (T - 1, 2, 3), rad/s, at the two ends of each interval, just inside it.
     """
-    time, position, velocity, spin = (
-        ball[columns.split()].to_numpy(float) for columns in ("t_s", "x y z", "vx vy vz", "wx wy wz")
-    )
+    names = ("t_s", "x y z", "vx vy vz", "wx wy wz")
+    time, position, velocity, spin = (ball[columns.split()].to_numpy(float) for columns in names)
     times, positions, spins = [time[0, 0]], [position[0]], []
     for k, (start, end) in enumerate(zip(time[:-1, 0], time[1:, 0], strict=True)):
         inside = jumps[(jumps > start) & (jumps < end)]

@@ -52,25 +52,18 @@ class _Scene:
             frames = max(1, 4_000_000 // int(np.prod(shape) * dtype().itemsize))  # 4 MB a chunk
             chunks = (1, min(frames, first.frames), *shape)
             axes = ("clip", "frame", "y", "x", "channel")[: 2 + len(shape)]
-            self._array("frames", (first.of, first.frames, *shape), dtype, chunks, axes)
+            about: dict[str, Any] = {"shape": (first.of, first.frames, *shape), "dtype": dtype, "chunks": chunks}
+            self.group.create_array("frames", dimension_names=axes, attributes={}, **about)
         for key, value in _truth(first).items():
-            of = ("clip", "particle", "frame") if value.ndim else ("clip",)
+            axes = ("clip", "particle", "frame") if value.ndim else ("clip",)
             extra = {"states": list(STATES)} if key == "truth/state" else {}
-            self._array(key, (first.of, *value.shape), value.dtype, (CLIPS_PER_CHUNK_OF_TRUTH, *value.shape), of, extra)
-
-    def _array(
-        self, key: str, shape: tuple[int, ...], dtype: Any, chunks: Any, axes: Any, attributes: Any = None
-    ) -> None:
-        self.group.create_array(
-            key, shape=shape, dtype=dtype, chunks=chunks, dimension_names=axes, attributes=attributes or {}
-        )
+            chunks = (CLIPS_PER_CHUNK_OF_TRUTH, *value.shape)
+            about = {"shape": (first.of, *value.shape), "dtype": value.dtype, "chunks": chunks}
+            self.group.create_array(key, dimension_names=axes, attributes=extra, **about)
 
     def add(self, clip: RecordedClip) -> None:
-        same = (
-            all(clip.camera_json[k] == self.first.camera_json[k] for k in ("size", "fps"))
-            and clip.bits == self.first.bits
-        )
-        if not same or clip.frames != self.first.frames:
+        same = [(c.camera_json["size"], c.camera_json["fps"], c.bits, c.frames) for c in (clip, self.first)]
+        if same[0] != same[1]:
             raise InputError(f"clip {clip.number}: another size, rate or length than clip {self.first.number}")
         if clip.camera_json not in self.cameras:
             self.cameras.append(clip.camera_json)

@@ -53,9 +53,8 @@ class ImpactChange:
 def collide_pairs(model: Model, target: Array, striker: Array, one: Bodies, two: Bodies) -> Impact:
     """Let k pairs collide: targets in states (k, 9), bodies `one`, and strikers, bodies `two`. See `collide_pair`."""
     first, second = (tuple(np.ascontiguousarray(states.T)) for states in (target, striker))
-    *vectors, along_n, along_t = collide_pair(
-        model, first, second, (one.radius, one.mass, one.inertia), (two.radius, two.mass, two.inertia)
-    )
+    own, other = ((bodies.radius, bodies.mass, bodies.inertia) for bodies in (one, two))
+    *vectors, along_n, along_t = collide_pair(model, first, second, own, other)
     a, b, n = (np.stack(np.broadcast_arrays(*parts), axis=-1) for parts in vectors)
     return Impact(a, b, n, along_n, along_t)
 

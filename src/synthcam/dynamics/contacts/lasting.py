@@ -155,9 +155,8 @@ class TouchingBodies:
         n = np.array([math.cos(angle), math.sin(angle)])
         v_n, parting = -float(apart[3:5] @ n), float(np.subtract(afters[0], afters[1])[3:5] @ n)
         whole = (v_n + parting) * mass
-        one, two = (
-            _turn(np.subtract(after, before)[3:] / whole, -angle) for before, after in zip(befores, afters, strict=True)
-        )
+        gains = (np.subtract(after, before)[3:] / whole for before, after in zip(befores, afters, strict=True))
+        one, two = (_turn(gain, -angle) for gain in gains)
         factors = self.spring.stiffness(mass, radius, parting / v_n)
         lasts = self.spring.lasts(mass, factors[0], v_n)
         self.contacts.append(SpringContact(i, j, factors, lasts, reach, angle, (one, two), impulses, whole, event))

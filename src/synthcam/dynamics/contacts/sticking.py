@@ -128,9 +128,8 @@ class StickingBodies:
         v_n, u_t, soft_n, soft_t = find_meeting_velocities(one, None, point, n)
         r = change.change_restitution(wall.restitution, v_n) if change else wall.restitution
         most = wall.friction * (1 + r) * v_n / soft_n * soft_t
-        done = collide_groups(
-            one, None, point, n, r, min(1 + wall.tangential_restitution, most / max(abs(u_t), 1e-300))
-        )
+        friction = min(1 + wall.tangential_restitution, most / max(abs(u_t), 1e-300))
+        done = collide_groups(one, None, point, n, r, friction)
         if broken := one.break_bonds(i, done.impulse_n):
             events = self.part(t, broken)
             more, after = self.bounce(t, i, number, wall, states, change)
