@@ -79,7 +79,7 @@ def stages(folder: Path) -> dict[str, float]:
 
     def write() -> None:
         shutil.rmtree(folder / "one", ignore_errors=True)
-        write_clip(folder / "one" / "clips" / "000000", clip, iter(frames), {"seed": 0})
+        write_clip(folder / "one" / "clips" / "000000", clip, iter(frames))
 
     out = {
         "simulate": timed(lambda: FilmedMotion.solve(clip.model, clip.launch, clip.camera, clip.frames), 20),

@@ -52,7 +52,6 @@ def run_jobs(
     *,
     trials: int = 2,
     announce: Callable[[JobForecast], None] | None = None,
-    worth_processes: float = 3.0,
 ) -> Iterator[JobValue[T] | LostJob]:
     """Do the work for each number, and yield the answers in the order in which the jobs end.
 
@@ -61,11 +60,10 @@ def run_jobs(
     the trial jobs show that this is quicker, else this one alone. scheduler: address of a Dask scheduler, whose workers
     do all jobs instead. trials: jobs, spread evenly over the numbers, that this process does first where the number of
     workers is open or `announce` is given. announce: takes a forecast after them if there is more to do.
-    worth_processes: processor time of the remaining jobs, s, from which on more processes are started; one takes half
-    as long as the default to load its libraries.
 
     Raises InputError if three workers in a row are lost, or the scheduler cannot be used.
     """
+    worth_processes = 3.0  # s of processor time to come: a process takes half as long to load its libraries
     if scheduler:
         from synthcam_shared.dask_cluster import Cluster  # here alone: Dask is an optional dependency
 

@@ -182,7 +182,7 @@ def _film(truth: Truth, folder: Path) -> Path:
     dataset, results, secret = folder / "film", folder / "results", folder / "truth"
     for clip in clips_of(truth):
         place = dataset / f"clips/{clip.number:06d}"
-        write_clip(place, clip, clip.pictures(), {"seed": 0}, secret / f"{clip.number:06d}")
+        write_clip(place, clip, clip.pictures(), secret / f"{clip.number:06d}")
         known = _believed_camera(json.loads((place / "camera.json").read_text()), truth["defect"])
         if "glint" in truth["defect"]:
             known.pop("lamp")  # without it a tracker has nothing but the glint

@@ -221,22 +221,15 @@ def merge_boxes(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
 
 
 def add_to_plate(
-    plate: Float32,
-    corners: Sequence[tuple[int, int, int, int]],
-    changes: Sequence[tuple[Box, Float32, Float32 | None]],
-    *,
-    max_balls_in_boxes: int = 4,
-    least_change: float = 1e-5,
+    plate: Float32, corners: Sequence[tuple[int, int, int, int]], changes: Sequence[tuple[Box, Float32, Float32 | None]]
 ) -> Picture:
     """Add the patches that balls change, one or two in each box, to the picture of a plate. corners: of the boxes.
 
     Boxes that touch are merged, and few boxes stay. The merged boxes of many balls would hold much of the plate: the
     picture is then one box, with a list of its changed pixels.
-
-    max_balls_in_boxes: balls in a picture, up to which their pixels are drawn in boxes.
-    least_change: over the peak of a glint, by which a pixel differs from the plate.
     """
-    many = len(corners) > max_balls_in_boxes
+    least_change = 1e-5  # over the peak of a glint, by which a pixel differs from the plate
+    many = len(corners) > 4  # balls, up to which their pixels are drawn in boxes
     if many:
         boxes: tuple[Box, ...] = ((slice(0, plate.shape[0]), slice(0, plate.shape[1])),)
         changed = np.zeros(plate.shape, bool)

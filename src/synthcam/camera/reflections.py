@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from synthcam_shared.arrays import Array, Flags, Index
 
 CHAINS_AT_ONCE = 8192  # that are grown together, to save memory
+MAX_BOUNCES = 24  # that are followed between two balls
 MIN_RELATIVE_FLUX = 1e-4  # flux of a secondary glint over that of the primary, below which it is left out
 
 
@@ -202,9 +203,7 @@ def find_neighbours(centres: Array, reach: Array) -> NearBalls:
 
 
 @cache
-def tabulate_pair_brightness(
-    mirror: float, faintest: float = MIN_RELATIVE_FLUX, most_bounces: int = 24
-) -> tuple[Array, Array]:
+def tabulate_pair_brightness(mirror: float, faintest: float = MIN_RELATIVE_FLUX) -> tuple[Array, Array]:
     """Tabulate the brightness (K, n) of light after 1 to K reflections between two balls, over the primary glint.
 
     The balls are at distances (n,), in mean radii, which are returned first; lamp and eye are far overhead. The glint
@@ -217,7 +216,7 @@ def tabulate_pair_brightness(
     pair[:, 0, 0], pair[:, 1, 0] = -apart / 2, apart / 2
     far = np.array([0.0, 0.0, 400.0])
     found = list[Array]()
-    for order in range(1, most_bounces + 1):
+    for order in range(1, MAX_BOUNCES + 1):
         paths = reflect(far, far, pair[:, np.arange(order) % 2], np.ones((len(apart), order)))
         bright = np.abs(np.linalg.det(paths.transfer[:, :2, :2])) * mirror**order * paths.exists
         if found and bright[0] < faintest * found[0][0]:
@@ -226,7 +225,9 @@ def tabulate_pair_brightness(
     return apart, np.array(found) / found[0]
 
 
-def find_reach_of_reflections(mirror: float, faintest: float = MIN_RELATIVE_FLUX, most_bounces: int = 24) -> float:
+def find_reach_of_reflections(
+    mirror: float, faintest: float = MIN_RELATIVE_FLUX, most_bounces: int = MAX_BOUNCES
+) -> float:
     """Find the distance of two balls, in mean radii, beyond which light reflected between them is below `faintest`."""
     apart, bright = tabulate_pair_brightness(mirror, faintest)
     if min(len(bright), most_bounces) == 1:
@@ -240,7 +241,7 @@ def iterate_chains(
     near: NearBalls,
     mirror: float,
     faintest: float = MIN_RELATIVE_FLUX,
-    most_bounces: int = 24,
+    most_bounces: int = MAX_BOUNCES,
 ) -> Iterator[tuple[Index, Index]]:
     """Iterate over the lengths k of chains of mirror spheres to follow: balls (M, k) and moments (M,), in order.
 

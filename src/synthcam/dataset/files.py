@@ -30,17 +30,11 @@ VIDEO = "frames.tif"
 
 
 def write_clip(
-    folder: Path,
-    clip: Clip,
-    frames: Frames | None,
-    meta: dict[str, Any],
-    secret: Path | None = None,
-    compression: str = "none",
+    folder: Path, clip: Clip, frames: Frames | None, secret: Path | None = None, compression: str = "none"
 ) -> None:
     """Write the folder of one clip of a dataset.
 
-    frames: None: no video. meta: further keys of the clip's scene.json. secret: another folder, for the truth.
-    compression: "none" or "zstd"; both are lossless.
+    frames: None: no video. secret: another folder, for the truth. compression: "none" or "zstd"; both are lossless.
     """
     folder.mkdir(parents=True, exist_ok=True)
     secret = secret or folder / "truth"
@@ -59,7 +53,7 @@ def write_clip(
             film.close()
     row = {
         "clip": clip.number,
-        "seed_key": f"{meta['seed']}/{clip.number}",
+        "seed_key": f"{clip.seed}/{clip.number}",
         "scene": clip.drawn["name"],
         **clip.truth,
         "striker": clip.drawn["launch"]["striker"],
@@ -67,7 +61,7 @@ def write_clip(
         "frames_sha256": file,
         "pixels_sha256": pixels,
     }
-    _write_json(secret / "scene.json", {**meta, "clip": clip.number, "drawn": clip.drawn, "row": row})
+    _write_json(secret / "scene.json", {"seed": clip.seed, "clip": clip.number, "drawn": clip.drawn, "row": row})
     tables = {"tracks": clip.tracks, "events": clip.solve().events}
     if clip.drawn.get("launches"):
         tables["energy"] = clip.energy

@@ -191,8 +191,7 @@ def make_clip(plan: GenerationPlan, number: int, folder: Path, secret: Path | No
     try:
         with place_clip(folder / inside, truth) as (aside, truth_aside):
             clip = plan.clip(number)
-            frames = clip.pictures() if plan.video else None
-            write_clip(aside, clip, frames, {"seed": plan.seed}, truth_aside, plan.compression)
+            write_clip(aside, clip, clip.pictures() if plan.video else None, truth_aside, plan.compression)
     except Exception as error:
         raise_if_interrupted()  # a library has turned Ctrl-C into this error
         no_clip_can_be_made = isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EROFS}

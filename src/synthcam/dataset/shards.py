@@ -88,13 +88,9 @@ def plan_shards(
     clips_per_shard: int | None,
     every: int,
     kind: str,
-    *,
-    usual_frames: int = 1000,
 ) -> ShardPlan:
-    """Plan shards of so many clips, or of as many as have so many frames by the length of clip 0. Raises InputError.
-
-    usual_frames: of a shard, where none is asked for.
-    """
+    """Plan shards of so many clips, or of as many as have so many frames by the length of clip 0. Raises InputError."""
+    usual_frames = 1000  # of a shard
     if kind not in FORMATS:
         raise InputError(f"--format {kind}: no such format; there are {', '.join(FORMATS)}")
     if kind == "zarr" and importlib.util.find_spec("zarr") is None:
@@ -237,13 +233,11 @@ def _write_tar(frames: Iterator[LabelledFrame], path: Path) -> None:
                 tar.addfile(member, io.BytesIO(data))
 
 
-def _write_zarr(frames: Iterator[LabelledFrame], path: Path, *, chunk_bytes: int = 4_000_000) -> None:
-    """A Zarr store: pictures and labels (sample, y, x), and the truth of all balls in one table of columns.
-
-    chunk_bytes: of the arrays of the store.
-    """
+def _write_zarr(frames: Iterator[LabelledFrame], path: Path) -> None:
+    """A Zarr store: pictures and labels (sample, y, x), and the truth of all balls in one table of columns."""
     import zarr
 
+    chunk_bytes = 4_000_000
     group = zarr.open_group(path, mode="w", zarr_format=3)
     columns: dict[str, list[Any]] = {name: [] for name in ("clip", "frame", *(f"balls/{c}" for c in BALL_COLUMNS))}
     cameras: dict[str, Any] = {}

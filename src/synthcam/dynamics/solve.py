@@ -459,8 +459,9 @@ class _EventLoop:
         self._start_legs(states)
 
 
-def _approach(target: State, striker: State, *, least_approach_m_s: float = 1e-6) -> State:
-    """Let balls approach at least_approach_m_s at least, which shows the law of a contact that begins slowly."""
+def _approach(target: State, striker: State) -> State:
+    """Let balls approach at a speed that shows the law of a contact that begins slowly."""
+    least_approach_m_s = 1e-6
     x, y = target[0] - striker[0], target[1] - striker[1]
     far = math.hypot(x, y)
     rate = ((striker[3] - target[3]) * x + (striker[4] - target[4]) * y) / far

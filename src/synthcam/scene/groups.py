@@ -127,21 +127,14 @@ def _count_columns(size: list[float], spacing: float) -> Iterator[int]:
 
 
 def _random(
-    rng: np.random.Generator,
-    count: int,
-    size: list[float],
-    least: float,
-    others: tuple[Array, Array],
-    key: str,
-    *,
-    max_tries: int = 2000,
+    rng: np.random.Generator, count: int, size: list[float], least: float, others: tuple[Array, Array], key: str
 ) -> Array:
     """Places (count, 2), m, one after the other anywhere in the area that is free (random sequential addition).
 
-    others: places (n, 2) of other bodies and the least distance from each, m. max_tries: of places for one body; discs
-    fill at most 0.547 of a plane in this way (Feder, J. Theor. Biol. 87 (1980) 237), and 2000 tries reach 0.5.
-    Raises InputError where one finds no place.
+    others: places (n, 2) of other bodies and the least distance from each, m. Raises InputError where one finds none.
     """
+    # Discs fill at most 0.547 of a plane in this way (Feder, J. Theor. Biol. 87 (1980) 237), and 2000 tries reach 0.5.
+    max_tries = 2000
     cells: dict[tuple[int, int], list[Array]] = {}
     places = list[Array]()
     half = np.array(size) / 2

@@ -60,21 +60,13 @@ def draw_walls(ax: Axes, walls: Sequence[Wall]) -> None:
         ax.plot(1e3 * x, 1e3 * y, color="0.35", lw=1.5, zorder=0)
 
 
-def draw_paths(
-    ax: Axes,
-    motion: Trajectory,
-    walls: Sequence[Wall],
-    colours: Colours = (),
-    *,
-    max_marked_events: int = 60,
-    max_legend_bodies: int = 6,
-) -> None:
+def draw_paths(ax: Axes, motion: Trajectory, walls: Sequence[Wall], colours: Colours = ()) -> None:
     """Draw the paths of all bodies, the walls, and the events unless they are too many, in mm.
 
     Bodies with a pattern have paths in its colour. Matte bodies that all look the same get colours that distinguish
     them.
-    max_marked_events: more would hide the paths.
     """
+    max_marked_events, max_legend_bodies = 60, 6  # more would hide the paths
     from matplotlib.patheffects import withStroke
 
     breaks = [e.t for e in motion.events]

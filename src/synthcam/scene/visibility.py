@@ -10,14 +10,12 @@ from synthcam.scene.distribution import draw_settings
 from synthcam.scene.scene import Scene
 
 
-def describe_unseen_balls(
-    scene: Scene, number: int = 0, seed: int = 0, *, clip: Clip | None = None, min_frames: int = 5
-) -> str:
+def describe_unseen_balls(scene: Scene, number: int = 0, seed: int = 0, *, clip: Clip | None = None) -> str:
     """Describe, in one line, a ball that hardly any frame of a clip shows; "" if its film shows all balls.
 
-    clip: the scene's clip of that number and seed, if it is drawn already. min_frames: of a ball in the picture; fewer
-    say little about its path.
+    clip: the scene's clip of that number and seed, if it is drawn already.
     """
+    min_frames = 5  # fewer say little about a path
     try:
         clip = clip or scene.draw(number, seed)
         view = clip.view

@@ -37,7 +37,7 @@ def frames_of(clip, seed=0):
 def dataset(tmp_path):
     for k in range(2):
         clip = SCENE.draw(k, 3)
-        write_clip(tmp_path / "clips" / f"{k:06d}", clip, frames_of(clip), {"seed": 3})
+        write_clip(tmp_path / "clips" / f"{k:06d}", clip, frames_of(clip))
     finish_dataset(tmp_path, ABOUT)
     return tmp_path
 
@@ -82,7 +82,7 @@ def test_frames_come_back_bit_for_bit(dataset):
 def test_frames_that_are_not_the_clips_are_refused(tmp_path, wrong):
     clip = SCENE.draw(0, 3)
     with pytest.raises(RuntimeError, match="expected 12 frames of uint16, 64 x 48"):
-        write_clip(tmp_path / "0", clip, iter(wrong(list(frames_of(clip)))), {"seed": 3})
+        write_clip(tmp_path / "0", clip, iter(wrong(list(frames_of(clip)))))
 
 
 def test_clips_parquet(dataset):
@@ -111,7 +111,7 @@ def test_scene_json_makes_the_clip_again(dataset):
 
 def test_one_ball_alone_has_gaps_not_zeros(tmp_path):
     clip = check_scene({"launch": {"kind": "single"}, "timing": {"frames": 3, "contact_frame": 1}}, "x").draw(0, 0)
-    write_clip(tmp_path / "clips" / "000000", clip, None, {"seed": 0})
+    write_clip(tmp_path / "clips" / "000000", clip, None)
     finish_dataset(tmp_path, ABOUT | {"gl": {}})
     table = pd.read_parquet(tmp_path / "truth/clips.parquet")
     assert table.r.isna().all()

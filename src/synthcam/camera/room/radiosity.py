@@ -184,10 +184,9 @@ def sample_facing_side(offset: Array) -> tuple[Array, Array]:
     return axes, local @ axes.T
 
 
-def sample_directions_to_ball(
-    points: Array, normals: Array, centre: Array, radius: float, rays: int = 14
-) -> tuple[Array, Array]:
+def sample_directions_to_ball(points: Array, normals: Array, centre: Array, radius: float) -> tuple[Array, Array]:
     """Sample directions (n, rays, 3) of light from points to a ball, with weights by cosine, of sum 1."""
+    rays = 14
     offset = centre - points
     far = np.maximum(np.sqrt(dot(offset, offset)), radius * (1 + 1e-9))
     lowest = np.sqrt(1 - (radius / far) ** 2)

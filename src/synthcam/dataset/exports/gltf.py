@@ -126,13 +126,9 @@ def _keys(ball: pd.DataFrame, jumps: Array) -> tuple[Array, Array, Array]:
     return np.array(times), np.array(positions), np.array(spins).reshape(-1, 2, 3)
 
 
-def _turns(
-    times: Array, spins: Array, first_turn: Array | None = None, largest_turn: float = 1.0
-) -> tuple[Array, Array]:
-    """Times (S,) and unit quaternions (S, 4) from spins that change linearly within each interval.
-
-    Two keys are at most `largest_turn` rad apart, because players take the shorter rotation.
-    """
+def _turns(times: Array, spins: Array, first_turn: Array | None) -> tuple[Array, Array]:
+    """Times (S,) and unit quaternions (S, 4) from spins that change linearly within each interval."""
+    largest_turn = 1.0  # rad between two keys: players take the shorter rotation
     at, turns = [times[0]], [Rotation.identity() if first_turn is None else Rotation.from_quat(first_turn)]
     for start, end, (first, last) in zip(times[:-1], times[1:], spins, strict=True):
         fastest = max(np.linalg.norm(first), np.linalg.norm(last))

@@ -17,20 +17,14 @@ from synthcam_shared.arrays import Array
 
 
 def press_cushion(
-    wall: Wall,
-    plate_friction: float,
-    ball: State,
-    body: tuple[float, float, float],
-    restitution: float,
-    *,
-    sticking_share: float = 1e-6,
+    wall: Wall, plate_friction: float, ball: State, body: tuple[float, float, float], restitution: float
 ) -> WallImpact:
     """Let a ball hit a cushion that it touches.
 
     plate_friction: of the ball on the plate. body: radius, m, mass, kg, and k = I/(m R^2) of the ball.
     Raises ValueError if friction keeps the cushion from stopping the ball.
-    sticking_share: of the first speed; friction fades at slips below it, which is sticking.
     """
+    sticking_share = 1e-6  # of the first speed: friction fades at slips below it, which is sticking
     (radius, mass, inertia), (x, y, z, vx, vy, vz, wx, wy, wz) = body, ball
     _, nx, ny = wall.distance(x, y)
     sine, friction = wall.rise(radius), wall.friction
