@@ -24,6 +24,7 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.settings import Fraction, Positive, Settings, build_settings, did_you_mean
 
 SOLID_BALL = 0.4  # I/(m R^2)
+Body = tuple[Any, Any, Any]  # radius, m, mass, kg, and I/(m R^2)
 
 
 class BallSettings(Settings):

@@ -14,6 +14,7 @@ from synthcam.dynamics import kinematics
 from synthcam.dynamics.kinematics import Real, State
 from synthcam_shared.arrays import Array, Index
 
+ArrayFunction = Callable[[Array], Array]
 Motion = Literal["rest", "roll", "slide", "fly", "glide", "push"]
 OneBodyEvent = Literal["wall", "slide_end", "stop", "start", "land", "launch", "release", "stretch"]
 EventKind = Literal["contact", "contact_end", "together", "apart"] | OneBodyEvent
@@ -228,13 +229,11 @@ class CarriedLeg(Leg):
 class NumericLeg(Leg):
     """A leg without closed form: `states` maps times (m,) to states (m, 9); `steepest` bounds the acceleration."""
 
-    states: Callable[[Array], Array]
+    states: ArrayFunction
     steepest: float
 
     @classmethod
-    def of(
-        cls, t0: float, t1: float, motion: Motion, states: Callable[[Array], Array], lift: float = 0.0
-    ) -> NumericLeg:
+    def of(cls, t0: float, t1: float, motion: Motion, states: ArrayFunction, lift: float = 0.0) -> NumericLeg:
         """Bound the acceleration by twice the largest one found between 65 samples, plus a vertical `lift`."""
         times = np.linspace(t0, t1, 65)
         v = states(times)[:, 3:5]
@@ -304,7 +303,7 @@ class Trajectory:
         self._check(times)
         return np.array([[legs[k].motion for k in self._which(legs, times)] for legs in self.legs])
 
-    def average(self, spans: Array, of: Callable[[Array], Array]) -> Array:
+    def average(self, spans: Array, of: ArrayFunction) -> Array:
         """Average a function of the states over time spans (n, 2): (balls, n, k). See `average_over_spans`."""
         breaks = np.array([e.t for e in self.events])
         return average_over_spans(lambda t: self.at(np.clip(t, self.t0, self.t1)), breaks, spans, of)
@@ -325,9 +324,7 @@ class Trajectory:
         return np.searchsorted([leg.t0 for leg in legs[1:]], times, side="right")
 
 
-def average_over_spans(
-    at: Callable[[Array], Array], breaks: Array, spans: Array, of: Callable[[Array], Array]
-) -> Array:
+def average_over_spans(at: ArrayFunction, breaks: Array, spans: Array, of: ArrayFunction) -> Array:
     """Average a function of a trajectory's states over time spans by Gauss quadrature, split at each kink.
 
     at: maps times (m,) to states (balls, m, 9). breaks: (e,), times of the kinks, rising. spans: (n, 2), begins and
@@ -354,7 +351,7 @@ def average_over_spans(
     return out
 
 
-def _average_smooth(at: Callable[[Array], Array], spans: Array, of: Callable[[Array], Array], count: int) -> Array:
+def _average_smooth(at: ArrayFunction, spans: Array, of: ArrayFunction, count: int) -> Array:
     """Average over smooth spans (n, 2) by Gauss quadrature with `count` nodes: (balls, n, k)."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     times = spans.mean(axis=1)[:, None] + np.diff(spans) / 2 * nodes

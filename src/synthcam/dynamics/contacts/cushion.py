@@ -13,15 +13,14 @@ from scipy.integrate import solve_ivp
 
 from synthcam.dynamics.contacts.walls import Wall, WallImpact
 from synthcam.dynamics.kinematics import State
+from synthcam.model import Body
 from synthcam_shared.arrays import Array
 
 
-def press_cushion(
-    wall: Wall, plate_friction: float, ball: State, body: tuple[float, float, float], restitution: float
-) -> WallImpact:
+def press_cushion(wall: Wall, plate_friction: float, ball: State, body: Body, restitution: float) -> WallImpact:
     """Let a ball hit a cushion that it touches.
 
-    plate_friction: of the ball on the plate. body: radius, m, mass, kg, and k = I/(m R^2) of the ball.
+    plate_friction: of the ball on the plate.
     Raises ValueError if friction keeps the cushion from stopping the ball.
     """
     sticking_share = 1e-6  # of the first speed: friction fades at slips below it, which is sticking

@@ -10,7 +10,7 @@ import numpy as np
 from synthcam.dynamics.contacts.cushion import press_cushion
 from synthcam.dynamics.contacts.walls import Wall, WallImpact
 from synthcam.dynamics.kinematics import Real, State, apply_friction_impulse, contact_velocity, push_share, slip_rate
-from synthcam.model import Bodies, Model
+from synthcam.model import Bodies, Body, Model
 from synthcam_shared.arrays import Array
 
 MIN_BOUNCE_SPEED_M_S = 1e-7  # a lower bounce, some 10 ns, and all that follow it are taken together
@@ -60,12 +60,7 @@ def collide_pairs(model: Model, target: Array, striker: Array, one: Bodies, two:
 
 
 def collide_pair(
-    model: Model,
-    target: State,
-    striker: State,
-    one: tuple[Real, Real, Real],
-    two: tuple[Real, Real, Real],
-    change: ImpactChange | None = None,
+    model: Model, target: State, striker: State, one: Body, two: Body, change: ImpactChange | None = None
 ) -> tuple[State, State, tuple[Real, Real, Real], Real, Real]:
     """Let two balls that touch collide, by the laws `restitution`, `spin_transfer` and `loft` of the model.
 
@@ -84,8 +79,8 @@ def collide_pair(
 
     The law of r and C is that of Painter & Behringer, Phys. Rev. E 62 (2000) 2380.
 
-    one, two: radius, m, mass, kg, and k of target and striker. change: of this impact, for floats alone. Returns the
-    states just after, the unit vector n from striker to target, and the impulses on the target along n and z x n, N s.
+    one, two: target and striker. change: of this impact, for floats alone. Returns the states just after, the unit
+    vector n from striker to target, and the impulses on the target along n and z x n, N s.
     """
     (r1, m1, k1), (r2, m2, k2) = one, two
     nx, ny, nz = target[0] - striker[0], target[1] - striker[1], target[2] - striker[2]
@@ -122,9 +117,7 @@ def collide_pair(
     return after(target, r1, m1, k1), after(striker, r2, -m2, k2), (nx, ny, nz), normal, ty * nx - tx * ny
 
 
-def hit_wall(
-    model: Model, wall: Wall, ball: State, body: tuple[float, float, float], change: ImpactChange | None = None
-) -> WallImpact:
+def hit_wall(model: Model, wall: Wall, ball: State, body: Body, change: ImpactChange | None = None) -> WallImpact:
     """Let a ball hit a wall that it touches.
 
     The normal points from the wall to the ball's centre, downwards where the wall touches above it. With k = I/(m R^2):
@@ -136,7 +129,7 @@ def hit_wall(
     For a cushion this is the law of I. Han, J. Mech. Sci. Technol. 19 (2005) 976, with beta = 0. `press_cushion` has
     the other law of cushions.
 
-    body: radius, m, mass, kg, and k of the ball. change: as in `collide_pair`.
+    change: as in `collide_pair`.
     """
     (radius, mass, inertia), (x, y, z, vx, vy, vz, wx, wy, wz) = body, ball
     _, ax, ay = wall.distance(x, y)

@@ -17,6 +17,7 @@ from synthcam.dynamics.dry_discs import DryBody, DryDisc
 from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.supports import Air, DryPlate
 from synthcam.dynamics.trajectory import CarriedLeg, Leg, Motion
+from synthcam.model import Body
 
 Vector = tuple[float, float]
 
@@ -35,12 +36,9 @@ class RigidGroup:
 
     @classmethod
     def join(
-        cls,
-        states: Mapping[int, State],
-        bodies: Mapping[int, tuple[float, float, float]],
-        bonds: Mapping[tuple[int, int], float],
+        cls, states: Mapping[int, State], bodies: Mapping[int, Body], bonds: Mapping[tuple[int, int], float]
     ) -> Self:
-        """Join bodies with these states; momentum and angular momentum stay. bodies: radius, mass, and k of each."""
+        """Join bodies with these states; momentum and angular momentum stay."""
         mass = sum(bodies[k][1] for k in states)
 
         def mean(axis: int) -> float:
@@ -79,7 +77,7 @@ class RigidGroup:
             out[k] = (*place, *self.velocity_at(place), 0.0, 0.0, 0.0, self.spin)
         return out
 
-    def slide(self, plate: DryPlate, bodies: Mapping[int, tuple[float, float, float]], t: float) -> dict[int, Leg]:
+    def slide(self, plate: DryPlate, bodies: Mapping[int, Body], t: float) -> dict[int, Leg]:
         """Return the legs of discs of these radii and masses on a dry plate from the time t, s."""
         discs = [
             DryDisc(x - self.centre[0], y - self.centre[1], z, bodies[k][1], bodies[k][0])
