@@ -78,22 +78,21 @@ SEARCH_ONLY_LAWS = {  # free laws of a search that a model cannot hold, and why
 }
 
 
+_kinds = {  # with the ball, by every name that a tabulated law may have
+    name + end: (kind, end[1:])
+    for name, kind in TABLE_KINDS.items()
+    for end in (("", "_a", "_b") if kind.one_ball else ("",))
+}
+
+
 def kind_of(name: str) -> tuple[TableKind, str]:
     """Return the kind of a tabulated law by its name, and its ball: "a", "b" or "" for both. Raises KeyError."""
-    if name in TABLE_KINDS:
-        return TABLE_KINDS[name], ""
-    own, _, ball = name.rpartition("_")
-    if ball in ("a", "b") and own in TABLE_KINDS and TABLE_KINDS[own].one_ball:
-        return TABLE_KINDS[own], ball
-    raise KeyError(name)
+    return _kinds[name]
 
 
 def table_names() -> Iterator[str]:
     """Iterate over every name that a tabulated law may have."""
-    for name, kind in TABLE_KINDS.items():
-        yield name
-        if kind.one_ball:
-            yield from (f"{name}_a", f"{name}_b")
+    return iter(_kinds)
 
 
 @dataclass(frozen=True)

@@ -282,19 +282,16 @@ class Trajectory:
         Raises ValueError outside [t0, t1].
         """
         times = np.atleast_1d(np.asarray(t, dtype=float))
-        self._check(times)
-        return np.stack([self._follow(legs, times) for legs in self.legs])
+        return np.stack([self.at_one(ball, times) for ball in range(len(self.legs))])
 
     def at_one(self, ball: int, t: Array) -> Array:
         """Return the states (len(t), 9) of one ball, as of `at`."""
         self._check(t)
-        return self._follow(self.legs[ball], t)
-
-    def _follow(self, legs: tuple[Leg, ...], times: Array) -> Array:
-        out, which = np.empty((len(times), 9)), self._which(legs, times)
+        legs, out = self.legs[ball], np.empty((len(t), 9))
+        which = self._which(legs, t)
         for k in np.flatnonzero(np.bincount(which)):
             here = which == k
-            out[here] = legs[k].at(times[here])
+            out[here] = legs[k].at(t[here])
         return out
 
     def motion(self, t: ArrayLike) -> NDArray[np.str_]:

@@ -163,15 +163,12 @@ class MirrorRenderer(Renderer):
 
     def _compute_plate(self) -> Float32:
         points, surface = plate_points(self.camera), self.surface
-        lit = BLACK_PLATE_RADIANCE * self.room * compute_irradiance(self.lamp, points)
-        mirrored = np.zeros(1)
-        if surface.plate_texture:
-            lit *= compute_grain(surface, points)
+        dull = BLACK_PLATE_RADIANCE * self.room * compute_irradiance(self.lamp, points)
+        lit, mirrored = dull * compute_grain(surface, points) if surface.plate_texture else dull, np.zeros(1)
         if surface.plate_gloss:
-            lit += self._unit * compute_gloss(self.lamp, surface, self.camera.centre, points)
+            lit = lit + self._unit * compute_gloss(self.lamp, surface, self.camera.centre, points)
             way = self.camera.centre - points
             up = way[..., 2] / np.linalg.norm(way, axis=-1)
-            dull = BLACK_PLATE_RADIANCE * self.room * compute_irradiance(self.lamp, points)
             mirrored = surface.plate_gloss * (dull + (self.room / surface.head_on - dull) * up)
         shade: Array | Float32 = np.ones(1) if self._vignette is None else self._vignette
         self._lit = (lit * shade).astype(np.float32)

@@ -166,13 +166,8 @@ class RoomRenderer(Renderer):
         pixels, extent = self._see_balls(positions)
         low = np.floor((pixels - extent[..., None]).min(axis=0)).astype(int)
         high = np.ceil((pixels + extent[..., None]).max(axis=0)).astype(int) + 1
-        w, h = self.camera.size
-        boxes = []
-        for (left, top), (right, bottom) in zip(low.tolist(), high.tolist(), strict=True):
-            box = max(top, 0), min(bottom, h), max(left, 0), min(right, w)
-            if box[0] < box[1] and box[2] < box[3]:
-                boxes.append(box)
-        return boxes
+        corners = np.concatenate([np.maximum(low, 0), np.minimum(high, self.camera.size)], axis=1).tolist()
+        return [(top, bottom, x, end) for x, top, end, bottom in corners if x < end and top < bottom]
 
     def _place(self, centres: Array, ball: int) -> tuple[Index, int]:
         """First column and row, and width, of a square that holds a ball and its blur."""
