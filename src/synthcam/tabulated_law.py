@@ -4,14 +4,12 @@
 The names are those of the free laws of a search, which writes its results in this form.
 """
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -148,7 +146,7 @@ class TabulatedLaw(AddedLaw):
     base_numbers: tuple[float, ...] = ()  # the values of `TableKind.owners`
 
     @classmethod
-    def of(cls, law: str, x: Any, y: Any, numbers: Mapping[str, float]) -> TabulatedLaw:
+    def of(cls, law: str, x: Any, y: Any, numbers: Mapping[str, float]) -> Self:
         """Make the law beside these numbers of the base model. Raises ValueError with what was expected."""
         kind, _ = kind_of(law)
         table = SmoothTable(to_tuples(x), to_tuples(y), kind.axis == "turn")

@@ -1,7 +1,5 @@
 """Make a dataset: clips side by side in several processes, with the same bytes however many there are."""
 
-from __future__ import annotations
-
 import errno
 import platform
 import shutil
@@ -10,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -68,7 +66,7 @@ class GenerationPlan:
         }
 
     @classmethod
-    def from_document(cls, document: dict[str, Any]) -> GenerationPlan:
+    def from_document(cls, document: dict[str, Any]) -> Self:
         """Make the plan of a document without its shard."""
         scenes = tuple(check_scene(s, "scene") for s in document["scenes"])
         numbers = document["clips_per_scene"], document["seed"], document["video"]

@@ -7,11 +7,9 @@ with the drilling (`find_ending_slip`); the remaining slip ends as without drill
 begins, and does not depend on whether the ball is solved alone or with another.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -47,7 +45,7 @@ class Forces:
     inertia: Array  # (m, 1)
 
     @classmethod
-    def of(cls, model: Model, bodies: Bodies) -> Forces:
+    def of(cls, model: Model, bodies: Bodies) -> Self:
         known: dict[str, Any] = dict(gravity=model.gravity, radius=bodies.radius[:, None], mass=bodies.mass[:, None])
         return cls(model, known | dict(of_a=bodies.of_a[:, None], ball=model.ball), bodies.inertia[:, None])
 
@@ -59,9 +57,9 @@ class Forces:
     def push_share(self) -> Array:
         return np.asarray(push_share(self.inertia))
 
-    def __getitem__(self, rows: Any) -> Forces:
+    def __getitem__(self, rows: Any) -> Self:
         constants = {k: v[rows] if isinstance(v, np.ndarray) else v for k, v in self.constants.items()}
-        return Forces(self.model, constants, self.inertia[rows])
+        return type(self)(self.model, constants, self.inertia[rows])
 
     def list_inputs(self, place: Array, v: Array, other: Any, **more: Any) -> dict[str, Any]:
         """List the inputs of laws by name. place, v: (2, m, n), m and m/s; other: as of `act_on_sliding`."""
@@ -126,7 +124,7 @@ class BallStates:
     each: int = 1
 
     @classmethod
-    def without_drilling(cls, model: Model, bodies: Bodies, states: Array, each: int = 1) -> BallStates:
+    def without_drilling(cls, model: Model, bodies: Bodies, states: Array, each: int = 1) -> Self:
         return cls(model, bodies, states, np.full(len(states), np.inf), each)
 
     def __len__(self) -> int:
@@ -140,9 +138,9 @@ class BallStates:
     def rows(self, units: Index) -> Index:
         return np.concatenate([units + k * len(self) for k in range(self.each)])
 
-    def __getitem__(self, units: Index) -> BallStates:
+    def __getitem__(self, units: Index) -> Self:
         rows = self.rows(units)
-        return BallStates(self.model, self.bodies[rows], self.states[rows], self.floor[rows], self.each)
+        return type(self)(self.model, self.bodies[rows], self.states[rows], self.floor[rows], self.each)
 
     @cached_property
     def modes(self) -> Index:

@@ -5,12 +5,10 @@ root. Towards the end such a slip turns as ln w, and the position has only terms
 the difference of two integrals over time, which are series in w again, since dt ~ w^2 dw.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -40,15 +38,15 @@ class IntegratedMotion:
     power: int  # of the root in w; 0 where the nodes are even in time
     airborne: Flags
 
-    def __getitem__(self, rows: Index) -> IntegratedMotion:
+    def __getitem__(self, rows: Index) -> Self:
         pieces = [(times[rows], y[:, rows]) for times, y in self.pieces]
         of = {f: getattr(self, f)[rows] for f in ("begins", "durations", "states", "bodies", "airborne")}
         return replace(self, pieces=pieces, **of)
 
-    def shift(self, by: Array) -> IntegratedMotion:
+    def shift(self, by: Array) -> Self:
         return replace(self, begins=self.begins + by)
 
-    def split_pieces(self) -> tuple[Array, list[IntegratedMotion]]:
+    def split_pieces(self) -> tuple[Array, list[Self]]:
         """Return the times (p + 1, m) between pieces, and each piece as a motion where nodes are even in time."""
         if self.power or self.airborne.any() or len(self.pieces) == 1:
             return self.begins + np.array([0 * self.durations, self.durations]), [self]

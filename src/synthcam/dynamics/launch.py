@@ -1,9 +1,8 @@
 """How a run begins: the states of the balls at one instant."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,7 +62,7 @@ class Launch:
         heading: float,
         contact: ArrayLike,
         spin: ArrayLike = NO_SPIN,
-    ) -> Launch:
+    ) -> Self:
         """Launch ball 2 so that it touches ball 1, at rest, at `time`, s.
 
         v0: speed of ball 2 at the contact, m/s.
@@ -77,7 +76,7 @@ class Launch:
         return cls(time, np.concatenate(launch_touching_pairs(bodies[:1], bodies[1:], *numbers)), bodies)
 
     @classmethod
-    def single(cls, bodies: Bodies, time: float, v0: float, heading: float, place: ArrayLike) -> Launch:
+    def single(cls, bodies: Bodies, time: float, v0: float, heading: float, place: ArrayLike) -> Self:
         """Launch one ball that rolls through `place` (x, y), m, at `time`."""
         v = v0 * np.array([np.cos(heading), np.sin(heading)])
         return cls(time, rolling_state(np.array([place], dtype=float), v[None], 0.0, bodies.radius), bodies)

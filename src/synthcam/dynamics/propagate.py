@@ -12,11 +12,9 @@ integrated over time. A rolling ball, v' = (5/7) p - loss v_hat, is integrated f
 it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -57,8 +55,8 @@ class IntegrationStep:
     ended: Flags  # (m,) whether the slide, roll or flight of the ball ended with the step
     valid: Flags  # (m,) whether the step is a solution for the ball
 
-    def __getitem__(self, rows: Index) -> IntegrationStep:
-        return IntegrationStep(*(getattr(self, f.name)[rows] for f in fields(self)))
+    def __getitem__(self, rows: Index) -> Self:
+        return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 class PhaseIntegrator:

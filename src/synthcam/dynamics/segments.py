@@ -4,10 +4,9 @@ Each class holds balls that move in one way (at rest, sliding, rolling, flying, 
 list of such segments.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 
@@ -139,7 +138,7 @@ class IntegratedSegment(Segment):
     motion: IntegratedMotion
 
     @classmethod
-    def of(cls, who: Index, motion: IntegratedMotion, goal: Array | float) -> list[IntegratedSegment]:
+    def of(cls, who: Index, motion: IntegratedMotion, goal: Array | float) -> list[Self]:
         """Make a segment of each piece of a motion towards the time `goal`, which some reach but for rounding."""
         knots, parts = motion.split_pieces()
         knots = snap_to_goal(knots, goal)

@@ -1,10 +1,9 @@
 """The supports that a body may have instead of the plate: a cushion of air, or a dry plate under a disc."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -26,7 +25,7 @@ class Support(ABC):
     def accelerate(self, state: State, radius: float) -> tuple[float, float, float]:
         """Return the rates of change of vx, vy and wz of a body in this state."""
 
-    def draw_stretch(self, rng: np.random.Generator) -> tuple[Support, dict[str, float]]:
+    def draw_stretch(self, rng: np.random.Generator) -> tuple[Self, dict[str, float]]:
         """Draw what the support is until the next hit; also the draws, by name."""
         return self, {}
 
@@ -55,7 +54,7 @@ class Air(Support):
         loss = self.drag + self.decel / math.hypot(vx, vy, FADING_M_S)
         return -loss * vx - self.curl * vy, -loss * vy + self.curl * vx, -self.spin_drag * state[8]
 
-    def draw_stretch(self, rng: np.random.Generator) -> tuple[Support, dict[str, float]]:
+    def draw_stretch(self, rng: np.random.Generator) -> tuple[Self, dict[str, float]]:
         ranges = {"decel": self.decel_range, "curl": self.curl_range}
         drawn = {name: float(rng.uniform(*limits)) for name, limits in ranges.items() if limits}
         return replace(self, decel=drawn.get("decel", self.decel), curl=drawn.get("curl", self.curl)), drawn

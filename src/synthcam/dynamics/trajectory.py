@@ -1,11 +1,9 @@
 """The motion of a run: legs between events, and the trajectory that they make up."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -150,7 +148,7 @@ class GlideLeg(ClosedLeg):
     motion: Motion = field(default="glide", kw_only=True)
 
     @classmethod
-    def of(cls, t: float, state: State, decel: float, drag: float, curl: float, spin_drag: float) -> GlideLeg:
+    def of(cls, t: float, state: State, decel: float, drag: float, curl: float, spin_drag: float) -> Self:
         """Glide from the time t, s, until the body stops."""
         lasts = kinematics.stop_time(math.hypot(state[3], state[4]), drag, decel)
         return cls(t, t + lasts, t, state, drag, decel, curl, spin_drag)
@@ -233,7 +231,7 @@ class NumericLeg(Leg):
     steepest: float
 
     @classmethod
-    def of(cls, t0: float, t1: float, motion: Motion, states: ArrayFunction, lift: float = 0.0) -> NumericLeg:
+    def of(cls, t0: float, t1: float, motion: Motion, states: ArrayFunction, lift: float = 0.0) -> Self:
         """Bound the acceleration by twice the largest one found between 65 samples, plus a vertical `lift`."""
         times = np.linspace(t0, t1, 65)
         v = states(times)[:, 3:5]

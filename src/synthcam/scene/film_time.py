@@ -1,10 +1,8 @@
 """Film time: which moments of the motion a frame shows if the clock is wrong or the shutter rolls."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +29,7 @@ class FilmedMotion:
     motion: Trajectory  # in true time
 
     @classmethod
-    def solve(
-        cls, model: Model, launch: Launch, camera: PinholeCamera, frames: int, table: Table = PLATE
-    ) -> FilmedMotion:
+    def solve(cls, model: Model, launch: Launch, camera: PinholeCamera, frames: int, table: Table = PLATE) -> Self:
         """Solve the motion for the duration of `frames` frames."""
         corners = np.array([[0.0], [frames / camera.fps]])
         rows = np.array([0.0, camera.size[1] - 1.0])

@@ -1,10 +1,8 @@
 """Neighbour cells: which bodies come near a body, found without a look at all the others."""
 
-from __future__ import annotations
-
 import math
 from array import array
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 
 class Box(NamedTuple):
@@ -15,7 +13,7 @@ class Box(NamedTuple):
     high_x: float
     high_y: float
 
-    def meets(self, other: Box) -> bool:
+    def meets(self, other: Self) -> bool:
         ax, ay, bx, by = other
         return self.low_x <= bx and self.high_x >= ax and self.low_y <= by and self.high_y >= ay
 
