@@ -114,6 +114,7 @@ LAYERS = {
     "tracker.measurement.local": [
         "stretches recommendation",
         "local_problem",
+        "lasting_errors",
         "descents",
         "local_fit",
         "local_estimate",

@@ -15,7 +15,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from synthcam_shared.arrays import Array, Flags
+from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.descents import Descent, FitInSteps
+from tracker.measurement.local.lasting_errors import LastingErrors, estimate_correlation
 from tracker.measurement.local.local_problem import LocalPriors, LocalProblem, LocalSolution
 from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch
 
@@ -84,15 +86,6 @@ def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Array)
     left = seen - basis @ fits
     known = sum((fits[:, k] ** 2).sum(axis=1) / width**2 for k, width in enumerate(widths) if width > 0)
     return np.asarray((left**2).sum(axis=(1, 2)) + known), np.asarray(fits), left / weight[:, None]
-
-
-def correlation_factor(left: Array) -> float:
-    """Compute by how much correlated residuals (n, 2) raise the variances of a local fit."""
-    if len(left) < 6:
-        return 1.0
-    rho = float((left[1:] * left[:-1]).sum() / max(float((left**2).sum()), 1e-300))
-    rho = min(max(rho + 2 / len(left), 0.0), 0.9)  # residuals of a fit are less correlated than the errors
-    return (1 + rho) / (1 - rho)
 
 
 def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind]) -> Stretch:
@@ -222,30 +215,36 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool) -> FitInStep
     known: errors are claimed, and are never smaller than that. A body at rest takes the mean of all stretches, because
     recorders round or drop its positions.
     """
-    shared = 8.0  # degrees of freedom with which that mean counts in each stretch
+    shared, max_correlation = 8.0, 0.9  # degrees of freedom with which that mean counts in each stretch; of neighbours
     solution = found[0]
     if known and solution.is_good:
         return [solution]
     problem = solution.problem
     ends = 2 * np.cumsum([len(s) for s in problem.stretches])[:-1]
     parts = zip(*(np.split(v, ends) for v in (solution.residual, solution.freedom, problem.counted)), strict=True)
-    squares, freedom, lasting = {}, {}, {}
+    squares, freedom, rhos, shapes = dict[int, float](), dict[int, float](), dict[int, float](), {}
     for k, (left, free, counted) in enumerate(parts):
         if problem.motions[k].moves:
+            coefficients = (problem.motions[k].size + 1) // 2  # of the path along an axis
+            shapes[k] = int(counted.sum()) // 2, coefficients
             squares[k] = float((left[counted] ** 2).sum())
             freedom[k] = max(float(free[counted].sum()), 0.5)
-            lasting[k] = correlation_factor(left[counted].reshape(-1, 2))
+            rhos[k] = estimate_correlation(left[counted].reshape(-1, 2), coefficients)
     total = sum(freedom.values())
+    usual_rho = sum(freedom[k] * rho for k, rho in rhos.items()) / total
+    errors = dict[int, LastingErrors]()
+    for k, shape in shapes.items():
+        own = freedom[k] / (freedom[k] + shared)
+        rho = float(np.clip(own * rhos[k] + (1 - own) * usual_rho, 0.0, max_correlation))
+        errors[k] = LastingErrors.of(rho, *shape)
+        squares[k] /= errors[k].left
     mean = sum(squares.values()) / total
-    usual = sum(freedom[k] * factor for k, factor in lasting.items()) / total
+    usual = sum(freedom[k] * one.inflation for k, one in errors.items()) / total
     sizes = []
     for k, size in enumerate(solution.sizes):
-        square, factor = mean, usual
-        if k in squares:
-            own = freedom[k] / (freedom[k] + shared)
-            square = (squares[k] + shared * mean) / (freedom[k] + shared)
-            factor = own * lasting[k] + (1 - own) * usual
-        square *= factor
+        square = mean * usual
+        if k in errors:
+            square = (squares[k] + shared * mean) / (freedom[k] + shared) * errors[k].inflation
         sizes.append(size * float(np.sqrt(max(square, 1.0 if known else 1e-12))))
     again = yield [Descent.of(one.problem, one.x, sizes, ROUGH_GAIN) for one in found]
     return sorted((one for [one] in again), key=lambda s: -s.log_evidence)
@@ -362,13 +361,25 @@ def _solve_with_durations(
     return list(zip(logs, found, strict=True))
 
 
+def _find_share_of_slides(solution: LocalSolution, k: int, last: float) -> float:
+    """Find the probability that a striker that slid within `last` seconds before the contact still slides there.
+
+    A hit comes at any time. So slides that the hit interrupts are to those that ended in the window as the mean
+    duration of a slide is to the window. A slip u ends after 2 u/(7 mu g). We take slips from 0, of a ball that rolls,
+    to the speed v, of a ball without spin, as equally likely. The mean duration is then v/(7 mu g).
+    """
+    x, at = solution.x, solution.problem.start[k]
+    lasts = float(np.hypot(*x[at + 2 : at + 4]) / (7 * np.exp(x[5]) * GRAVITY))
+    return lasts / (lasts + last)
+
+
 def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_on: bool) -> list[SlideDuration]:
     """List durations of one slide: two below the first position, cells, and one above the stretch.
 
     The cells divide the durations with which the stretch alone fits hardly worse than with the best; over more of it,
     the velocity could change by many errors from one cell to the next. Before a contact they are those of the roll,
     whose prior is uniform over the stretch, because a hit comes at any time after the slide. may_slide_on: the slide
-    may also last up to the contact, which is the first cell.
+    may also last up to the contact, which is the first cell, with the probability of `_find_share_of_slides`.
     """
     priors, stretch = solution.problem.priors, solution.problem.stretches[k]
     since = np.abs(stretch.time - solution.x[0])
@@ -392,7 +403,7 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
         below[0] = 0.0
     else:
         ends = np.append(1e-5 * first, ends)  # the first cell is a slide up to the contact
-        share = priors.slides_up_to_contact if may_slide_on else 0.0
+        share = _find_share_of_slides(solution, k, last) if may_slide_on else 0.0
         below = np.append(0.0, share + (1 - share) * np.minimum(ends[1:] / last, 1.0))
     middles, widths = (ends[1:] + ends[:-1]) / 2, np.diff(ends) / np.sqrt(12)
     enough = np.any(fits(np.concatenate([ends[:-1], middles, ends[1:]])).reshape(3, -1), axis=0)

@@ -33,9 +33,6 @@ class LocalPriors:
     turn: float = 0.5  # rad, of friction from the direction in which a ball that did not slide is slowed or sped up
     slide_s: float = 0.1  # duration of a slide
     slide_factor: float = 3.0  # error of its logarithm
-    # Probability that a striker that slid in the window slides up to the contact. Chosen between, on 200 simulated hits
-    # of billiard balls: 1/2 makes v0 of balls that rolled for less than 0.1 s wrong by 1.9 errors, 1/4 by 1.3.
-    slides_up_to_contact: float = 0.25
     roll_s: float = 0.1  # how long a ball has rolled before the contact, after a slide
     roll_factor: float = 3.0  # error of its logarithm
     loss: float = 0.05  # of rolling, m/s^2; its error is as large

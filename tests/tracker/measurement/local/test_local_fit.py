@@ -105,10 +105,13 @@ def test_a_roll_before_a_hit_may_have_begun_at_any_time(after, may_slide_on):
     time = np.arange(1, 21) * 4e-3 * (1 if after else -1)
     stretch = make_stretch(np.outer(time, [0.4, 0.1]), time, ball=2, after=after, size=0.0)
     problem = LocalProblem((stretch,), (SLIDE_AND_ROLL,), LocalPriors(0.06), False)
-    free = SimpleNamespace(problem=problem, x=np.zeros(problem.size), sizes=(1.0,))
+    x = np.zeros(problem.size)
+    x[5], x[problem.start[0] + 2] = np.log(0.2), 2.0
+    free = SimpleNamespace(problem=problem, x=x, sizes=(1.0,))
     cells = local_fit._list_durations(free, 0, 6, may_slide_on)
     shares = [np.exp(cell.log_prior) for cell in cells if cell.lasts < 0.08]
-    slides_on, begins = LocalPriors(0.06).slides_up_to_contact, 1 if may_slide_on and not after else 0
+    begins, mean_s = 1 if may_slide_on and not after else 0, 2.0 / (7 * 0.2 * 9.81)  # of slides at 2 m/s
+    slides_on = mean_s / (mean_s + 0.08)
     if after:
         assert sum(shares) == pytest.approx(0.47, abs=0.02)  # of the normal prior of the logarithm
         return
