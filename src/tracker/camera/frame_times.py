@@ -70,8 +70,7 @@ def _off_line(numbers: Ints, times: Array) -> tuple[float, float]:
 
 def describe_missing(numbers: Ints, fps: float, source: str) -> tuple[str, ...]:
     """A note on frames that are missing, with frames and times (fps 0: without times)."""
-    steps = np.diff(numbers)
-    usual = int(np.gcd.reduce(steps)) if len(steps) else 1
+    steps, usual = np.diff(numbers), find_frame_stride(numbers)
     gaps = np.flatnonzero(steps > usual)
     if not len(gaps):
         return ()

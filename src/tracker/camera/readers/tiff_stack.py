@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from logging.handlers import BufferingHandler
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -268,38 +268,30 @@ def _read_pages(path: Path, layout: _Layout) -> Callable[[int], Any]:
 def _list_pieces(path: Path, layout: _Layout) -> tuple[Callable[[int], Any], ...]:
     """Functions that give parts of a frame as they are stored, by which two frames are compared."""
     file = path.open("rb", buffering=0)
-    if layout.offset is None:
-        tif = tifffile.TiffFile(path)
-        pages = _list_pages(tif)
 
-        def list_counts(k: int) -> Any:
-            page = pages[int(layout.pages[k])]
-            elsewhere = page is None or page.parent is not tif  # in another file of the stack: never the same
-            return (k,) if elsewhere else tuple(page.databytecounts)
+    def read_at(offset: int, size: int) -> bytes:
+        file.seek(offset)
+        return file.read(size)
 
-        def read_parts(k: int) -> list[bytes]:
-            page = pages[int(layout.pages[k])]
-            return [_read_at(file, at, n) for at, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
+    weakref.finalize(read_at, file.close)
+    if layout.offset is not None:
+        size = math.prod(layout.plane) * layout.dtype.itemsize
+        starts, part = (layout.offset + layout.pages * size).tolist(), min(size, 1 << 12)
+        return lambda k: read_at(starts[k] + (size - part) // 2, part), lambda k: read_at(starts[k], size)
+    tif = tifffile.TiffFile(path)
+    pages = _list_pages(tif)
 
-        weakref.finalize(list_counts, tif.close)
-        weakref.finalize(read_parts, file.close)
-        return list_counts, read_parts
-    size, start = math.prod(layout.plane) * layout.dtype.itemsize, layout.offset
-    part = min(size, 1 << 12)
+    def list_counts(k: int) -> Any:
+        page = pages[int(layout.pages[k])]
+        elsewhere = page is None or page.parent is not tif  # in another file of the stack: never the same
+        return (k,) if elsewhere else tuple(page.databytecounts)
 
-    def read_middle(k: int) -> bytes:
-        return _read_at(file, start + int(layout.pages[k]) * size + (size - part) // 2, part)
+    def read_parts(k: int) -> list[bytes]:
+        page = pages[int(layout.pages[k])]
+        return [read_at(offset, size) for offset, size in zip(page.dataoffsets, page.databytecounts, strict=True)]
 
-    def read_whole(k: int) -> bytes:
-        return _read_at(file, start + int(layout.pages[k]) * size, size)
-
-    weakref.finalize(read_middle, file.close)
-    return read_middle, read_whole
-
-
-def _read_at(file: BinaryIO, offset: int, size: int) -> bytes:
-    file.seek(offset)
-    return file.read(size)
+    weakref.finalize(list_counts, tif.close)
+    return list_counts, read_parts
 
 
 def _read_times(tif: tifffile.TiffFile, layout: _Layout) -> FilmClock | None:

@@ -44,7 +44,7 @@ class VideoContents:
     tick: float
     fps: float
     promised: int  # frames that the file says it has; 0 where it does not say
-    length: float  # s
+    length: float  # s, that the file says it has; 0 where it does not say
     aspect: float
     streams: int
     times: list[int | None]
@@ -147,6 +147,7 @@ def _scan_video(path: Path) -> tuple[VideoFrame, VideoContents]:
         frames = _decode(container, stream, lambda: damaged.append(len(times)))
         first = next(frames)
         check_frame_size(path, (first.height, first.width))
+        length = stream.duration * stream.time_base if stream.duration else (container.duration or 0) / av.time_base
         found = VideoContents(
             times=times,
             damaged=damaged,
@@ -155,7 +156,7 @@ def _scan_video(path: Path) -> tuple[VideoFrame, VideoContents]:
             tick=float(stream.time_base or 0),
             fps=float(stream.average_rate or stream.guessed_rate or 0),
             promised=int(stream.frames),
-            length=_measure_length(stream),
+            length=float(length),
             aspect=float(stream.sample_aspect_ratio or 1),
             streams=sum(_judge_stream(other)[:2] == (True, True) for other in container.streams.video),
         )
@@ -179,13 +180,6 @@ def _scan_video(path: Path) -> tuple[VideoFrame, VideoContents]:
                     found.fields.add(before, after)
             before = after
         return first, found
-
-
-def _measure_length(stream: Any) -> float:
-    """Length that the file says it has, s; 0 where it does not say."""
-    return float(
-        stream.duration * stream.time_base if stream.duration else (stream.container.duration or 0) / av.time_base
-    )
 
 
 def _describe_faults(found: VideoContents) -> Iterator[str]:
