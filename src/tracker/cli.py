@@ -391,24 +391,24 @@ def calibrate(
 
     Example: tracker calibrate film.mp4 --points corners.csv --diameter 0.0525 --fps 240 -o camera.json
     """
-    from tracker.calibration.calibrate import calibrate as calibrate_camera
-    from tracker.calibration.calibrate import check_output, summarise_calibration, write_camera_file
+    from tracker.calibration import calibrate as calibration
 
-    check_output(output)
+    calibration.check_output(output)
+    given = calibration.keys_from_options(diameter, fps, exposure, gamma)
     if points is not None or board:
         from tracker.calibration.plate_camera import calibrate_plate
 
-        plate = calibrate_plate(video, (diameter, fps, exposure, gamma), points, board, error, height)
-        write_camera_file(output, plate.to_dict())
+        plate = calibrate_plate(video, given, points, board, error, height)
+        calibration.write_camera_file(output, plate.to_dict())
         _print_answer({"camera": str(output), **plate.to_dict()}, plate.summary(), output, as_json)
         return
     if error is not None or height is not None:
         raise InputError("--error, --height: expected --points or --board beside them")
     with progress_bar("calibrate") as progress:
-        result = calibrate_camera(video, diameter, fps, exposure, gamma, 0, progress, select)
+        result = calibration.calibrate(video, given, 0, progress, select)
     result.write(output)
     keys = {"camera": str(output), **result.to_dict()["calibration"], "scale": result.camera.scale}
-    _print_answer(keys, summarise_calibration(result), output, as_json)
+    _print_answer(keys, calibration.summarise_calibration(result), output, as_json)
 
 
 @app.command()

@@ -94,8 +94,12 @@ def check_output(path: Path) -> None:
     check_writable(path)
 
 
-def keys_from_options(diameter: float, fps: float, exposure: float | None, gamma: float) -> dict[str, Any]:
-    """Make the keys of camera.json that the user of a calibration gives as options. Raises InputError."""
+def keys_from_options(diameter: float, fps: float, exposure: float | None = None, gamma: float = 1.0) -> dict[str, Any]:
+    """Make the keys of camera.json that the user of a calibration gives as options. Raises InputError.
+
+    diameter: of the balls, m. fps: frames a second. exposure: of a frame, s, which separates motion blur from the
+    glint's width. gamma: counts are light to the power of 1/gamma.
+    """
     for name, value in (("--diameter", diameter), ("--fps", fps)):
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"{name}: expected a number over 0, not {value!r}")
@@ -112,28 +116,24 @@ def keys_from_options(diameter: float, fps: float, exposure: float | None, gamma
 
 def calibrate(
     video: Path,
-    diameter: float,
-    fps: float,
-    exposure: float | None = None,
-    gamma: float = 1.0,
+    given: dict[str, Any],
     workers: int = 1,
     progress: Progress = lambda done, of: None,
     select: str = "",
 ) -> Calibration:
     """Find scale, glint width and noise from a video of balls of known diameter.
 
-    video: a video, stack, folder of pictures, clip or dataset. diameter: of the balls, m. fps: frames a second.
-    exposure: of a frame, s, which separates motion blur from the glint's width. gamma: counts are light to the power of
-    1/gamma. workers: processes, or 0 for one a core, where so many are quicker. progress: takes clips done and clips in
-    all, of which those that are looked at twice count twice. select: channel or plane of a stack, as "C=1".
+    video: a video, stack, folder of pictures, clip or dataset. given: `keys_from_options`. workers: processes, or 0 for
+    one a core, where so many are quicker. progress: takes clips done and clips in all, of which those that are looked
+    at twice count twice. select: channel or plane of a stack, as "C=1".
 
     Raises InputError for what cannot be read, or has no glints.
     """
-    given = keys_from_options(diameter, fps, exposure, gamma)
+    diameter, fps, is_timed = given["ball_diameter"], given["fps"], "exposure" in given
     source = open_source(video, options=FilmOptions(select=select))
     number, frames = source.open_film(0)
     width, height = frames.shape[:0:-1]
-    given |= {"size": [width, height], "scale": diameter / Camera.unknown((width, height), 8).diameter_px}
+    given = given | {"size": [width, height], "scale": diameter / Camera.unknown((width, height), 8).diameter_px}
     last = len(source) - 1
     rough = sorted({round(i * last / (MAX_ROUGH_CLIPS - 1)) for i in range(MAX_ROUGH_CLIPS)})
     rest = sorted({*range(len(source))} - {*rough})
@@ -164,7 +164,7 @@ def calibrate(
     if rest:
         seen += survey_all(rest, given | (_sensor_keys(_middle(seen)) if then_by == GLINTS else {}), then_by)
         ways = _ways(seen, diameter)
-    result = _combine(seen, ways, video, exposure is not None, then_by)
+    result = _combine(seen, ways, video, is_timed, then_by)
     # the rate that the user says, not that of a film with every second frame
     return replace(result, camera=replace(result.camera, fps=fps))
 

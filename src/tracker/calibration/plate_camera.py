@@ -14,7 +14,6 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from synthcam_shared.errors import InputError
-from tracker.calibration.calibrate import keys_from_options
 from tracker.calibration.plate_points import MIN_POINTS, PlatePoints, find_board, read_picture_size, read_points
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import VIEW_ERROR_COUNT
@@ -90,7 +89,7 @@ class PlateCalibration:
 
 def calibrate_plate(
     source: Path,
-    said: tuple[float, float, float | None, float],
+    given: dict[str, Any],
     points: Path | None,
     board: str,
     error: float | None = None,
@@ -98,11 +97,10 @@ def calibrate_plate(
 ) -> PlateCalibration:
     """Find perspective and lens from points that are known. Raises InputError.
 
-    source: a film or a picture by the same camera in the same place; with a board, one that shows it. said: diameter,
-    fps, exposure and gamma, as `keys_from_options` takes them. points: a table of points. board: without points, what
-    lies on the plate instead. error: standard error of the points, px. height: of the camera above the plate, m.
+    source: a film or a picture by the same camera in the same place; with a board, one that shows it. given:
+    `keys_from_options`. points: a table of points. board: without points, what lies on the plate instead. error:
+    standard error of the points, px. height: of the camera above the plate, m.
     """
-    given = keys_from_options(*said)
     if points is not None and board:
         raise InputError("--points, --board: expected one of them")
     for name, value in (("--error", error), ("--height", height)):

@@ -16,7 +16,7 @@ from tracker_video import encode
 from synthcam_shared.errors import InputError
 from tracker.calibration import calibrate as calibration
 from tracker.calibration.ball_outline import measure_outline
-from tracker.calibration.calibrate import average_contact_distances, calibrate, summarise_calibration
+from tracker.calibration.calibrate import average_contact_distances, calibrate, keys_from_options, summarise_calibration
 from tracker.camera.camera import Camera
 from tracker.detection import contact_distance
 from tracker.detection.candidates import EmptyPlate
@@ -37,7 +37,7 @@ def told(tmp_path_factory):
     """One film of a hit, 14.875 px a diameter, with glints 1.2 px wide; the contact is in view."""
     folder = tmp_path_factory.mktemp("film")
     frames = film(np.random.default_rng(0), collision(60, contact=25.3, speed=2.5), sigma=1.2, profile=0.0)
-    return calibrate(stack(folder, frames), DIAMETER, 250.0, 5e-4)
+    return calibrate(stack(folder, frames), keys_from_options(DIAMETER, 250.0, 5e-4))
 
 
 def test_scale_from_the_contact_is_within_its_error(told):
@@ -101,7 +101,7 @@ def test_contacts_of_noise_in_the_first_look_do_not_hide_the_true_one(tmp_path, 
         return replace(found, contact_distances=wrong) if len(sizes) < 3 else found
 
     monkeypatch.setattr(calibration, "survey_sizes", survey)
-    found = calibrate(path, DIAMETER, 250.0, 5e-4)
+    found = calibrate(path, keys_from_options(DIAMETER, 250.0, 5e-4))
     assert np.allclose(sizes, [sizes[0], 60.0, sizes[0]])
     assert abs(found.camera.scale - DIAMETER / 14.875) < 3 * found.scale_std
 
@@ -128,7 +128,7 @@ def test_an_encoded_film_is_calibrated_by_its_contacts(tmp_path, capfd, monkeypa
     path = encode(tmp_path / "film.mp4", codes, rate=250, options={"crf": "23"})
     opened = []
     monkeypatch.setattr(av, "open", lambda path, whole=av.open: opened.append(path) or whole(path))
-    found = calibrate(path, DIAMETER, 250.0)
+    found = calibrate(path, keys_from_options(DIAMETER, 250.0))
     assert found.scale_from == "contact"
     assert found.scale_std / found.camera.scale < 0.03
     assert abs(found.camera.scale - DIAMETER / 14.875) < 3 * found.scale_std
@@ -150,11 +150,12 @@ def test_clips_count_alike_in_whatever_order_they_are_looked_at(tmp_path, monkey
         )
     steps, contacts, mean = list[tuple[int, int]](), list[int](), calibration.average_contact_distances
     monkeypatch.setattr(calibration, "average_contact_distances", lambda each: contacts.append(len(each)) or mean(each))
-    found = calibrate(tmp_path / "films", DIAMETER, 250.0, 5e-4, progress=lambda *at: steps.append(at))
+    films, given = tmp_path / "films", keys_from_options(DIAMETER, 250.0, 5e-4)
+    found = calibrate(films, given, progress=lambda *at: steps.append(at))
     assert steps == [(k, 5) for k in range(1, 6)]
     assert contacts[-1] == 3  # one of each clip
     assert abs(found.camera.scale - DIAMETER / 14.875) < 3 * found.scale_std
-    assert found.to_dict() == calibrate(tmp_path / "films", DIAMETER, 250.0, 5e-4, workers=2).to_dict()
+    assert found.to_dict() == calibrate(films, given, workers=2).to_dict()
 
 
 def test_balls_that_pass_each_other_do_not_touch():
@@ -234,7 +235,7 @@ def test_no_outline_under_the_glint_or_in_the_dark(radius, body):
 def test_no_contact_and_no_outline_is_no_scale(tmp_path):
     paths = np.stack([np.column_stack([20 + 3.0 * np.arange(20), np.full(20, 80.3)])], axis=1)
     write_clip(tmp_path / "clip", film(np.random.default_rng(1), paths, profile=0.0))
-    result = calibrate(tmp_path / "clip", DIAMETER, 250.0)
+    result = calibrate(tmp_path / "clip", keys_from_options(DIAMETER, 250.0))
     assert result.scale_from == ""
     with pytest.raises(InputError, match="no two balls are seen to hit"):
         result.write(tmp_path / "camera.json")
@@ -249,7 +250,7 @@ def drawn(folder, seed=4, **look):
 
 def test_the_scale_of_discs_is_that_of_their_hit_and_of_their_outlines(tmp_path):
     """Nothing is said of glints, lamps or the sensor."""
-    found = calibrate(drawn(tmp_path), 0.0186, 60.0, 1e-3)
+    found = calibrate(drawn(tmp_path), keys_from_options(0.0186, 60.0, 1e-3))
     assert found.scale_from == "contact"
     assert abs(found.camera.scale / 1e-3 - 1) < 3 * found.scale_std / 1e-3 < 0.005
     assert abs(found.ways["outline"][0] / 1e-3 - 1) < 0.001  # the half brightness of a blurred disc lies further in
@@ -264,7 +265,7 @@ def test_the_scale_of_discs_is_that_of_their_hit_and_of_their_outlines(tmp_path)
 @pytest.mark.gate
 def test_discs_in_noise_are_seen(tmp_path):
     """25 counts over a plate with 6 of noise a pixel: they were taken for glints, with a scale twice too large."""
-    found = calibrate(drawn(tmp_path, ball=95.0, noise=6.0), 0.0186, 60.0, 1e-3)
+    found = calibrate(drawn(tmp_path, ball=95.0, noise=6.0), keys_from_options(0.0186, 60.0, 1e-3))
     assert abs(found.camera.scale / 1e-3 - 1) < 3 * found.scale_std / 1e-3 < 0.08
 
 

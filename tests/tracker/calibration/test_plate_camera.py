@@ -12,6 +12,7 @@ import synthcam
 import tracker
 from synthcam_shared.errors import InputError
 from tracker import cli
+from tracker.calibration.calibrate import keys_from_options
 from tracker.calibration.plate_camera import calibrate_plate, fit_view
 from tracker.calibration.plate_points import PlatePoints, find_board, read_points
 from tracker.camera.camera import Camera
@@ -23,7 +24,7 @@ FOCAL = 800.0
 HEIGHT = FOCAL * 1.6e-4
 NOISE = 0.02  # px, of tracks
 ERROR = 0.1  # px, of points
-SAID = (DIAMETER, 250.0, None, 1.0)
+GIVEN = keys_from_options(DIAMETER, 250.0)
 QUANTITIES = ["v0", "r", "mu_k"]
 
 
@@ -278,7 +279,7 @@ def test_a_height_tells_what_a_view_from_above_does_not(tmp_path):
     table.to_csv(tmp_path / "points.csv", index=False)
     cv2.imwrite(str(tmp_path / "plate.png"), np.zeros(SIZE[::-1], np.uint8))
     known, unknown = (
-        calibrate_plate(tmp_path / "plate.png", SAID, tmp_path / "points.csv", "", ERROR, height).summary()
+        calibrate_plate(tmp_path / "plate.png", GIVEN, tmp_path / "points.csv", "", ERROR, height).summary()
         for height in (HEIGHT, None)
     )
 
