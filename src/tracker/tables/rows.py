@@ -18,30 +18,22 @@ from tracker.detection.link import Tracks
 from tracker.tables.dialect import LINE
 
 REQUIRED_COLUMNS = ("frame", "particle", "x", "y")
+COVARIANCE = ("x_std", "y_std", "cov_xy")  # of a position
+FIXED = ("x_fixed_std", "y_fixed_std", "cov_xy_fixed")  # the part that is the same in each frame of a ball at rest
 
 
 def make_tracks_table(tracks: Tracks) -> pa.Table:
     """The columns of tracks.parquet."""
-    times = {"t_s": tracks.time} if np.isfinite(tracks.time).any() else {}
-    return pa.table(
-        {
-            "frame": tracks.frame,
-            "particle": tracks.particle,
-            "x": tracks.x,
-            "y": tracks.y,
-            "x_std": np.sqrt(tracks.cov[:, 0, 0]),
-            "y_std": np.sqrt(tracks.cov[:, 1, 1]),
-            "cov_xy": np.ascontiguousarray(tracks.cov[:, 0, 1]),
-            "flux": tracks.flux,
-            "flags": pa.array(tracks.flags.tolist(), pa.string()),
-            "glint_x": tracks.glint_x,
-            "glint_y": tracks.glint_y,
-            "x_fixed_std": np.sqrt(tracks.fixed[:, 0, 0]),
-            "y_fixed_std": np.sqrt(tracks.fixed[:, 1, 1]),
-            "cov_xy_fixed": np.ascontiguousarray(tracks.fixed[:, 0, 1]),
-            **times,
-        }
-    )
+    columns: dict[str, Any] = {name: getattr(tracks, name) for name in REQUIRED_COLUMNS}
+    columns |= _split_covariance(tracks.cov, COVARIANCE)
+    columns |= {"flux": tracks.flux, "flags": pa.array(tracks.flags.tolist(), pa.string())}
+    columns |= {"glint_x": tracks.glint_x, "glint_y": tracks.glint_y, **_split_covariance(tracks.fixed, FIXED)}
+    return pa.table(columns | ({"t_s": tracks.time} if np.isfinite(tracks.time).any() else {}))
+
+
+def _split_covariance(cov: Any, names: tuple[str, str, str]) -> dict[str, Any]:
+    values = np.sqrt(cov[:, 0, 0]), np.sqrt(cov[:, 1, 1]), np.ascontiguousarray(cov[:, 0, 1])
+    return dict(zip(names, values, strict=True))
 
 
 def to_csv(table: pa.Table) -> bytes:
@@ -117,9 +109,9 @@ def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
         values = to_numbers(table[name], name, where) if name in table else np.full(len(table), default)
         return values[kept]
 
-    def covariance(x_std: str, y_std: str, cov_xy: str, default: float) -> Any:
-        cov = np.empty((len(kept), 2, 2))
-        for axis, name in enumerate((x_std, y_std)):
+    def covariance(names: tuple[str, str, str], default: float) -> Any:
+        cov, cov_xy = np.empty((len(kept), 2, 2)), names[2]
+        for axis, name in enumerate(names[:2]):
             std = column(name, default)
             if np.any((std < 0) | (std > max_px)):
                 raise InputError(f"{where}: {name}: expected standard errors from 0 to {max_px:g} px")
@@ -135,12 +127,12 @@ def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
         particle=particle[kept],
         x=x[kept],
         y=y[kept],
-        cov=covariance("x_std", "y_std", "cov_xy", math.nan),
+        cov=covariance(COVARIANCE, math.nan),
         flux=column("flux", math.nan),
         flags=said.astype(str).to_numpy()[kept].astype(np.str_),
         glint_x=column("glint_x", math.nan),
         glint_y=column("glint_y", math.nan),
-        fixed=covariance("x_fixed_std", "y_fixed_std", "cov_xy_fixed", 0.0),
+        fixed=covariance(FIXED, 0.0),
         time=_times(column("t_s", math.nan), frame[kept], particle[kept], where),
     )
 

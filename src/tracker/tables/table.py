@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import format_wrong_value
-from tracker.tables.rows import to_numbers
+from tracker.tables.rows import COVARIANCE, FIXED, to_numbers
 
 LENGTH_UNITS = {  # what one of a unit is in m, and what it is called; "px" has no length of its own
     "px": (math.nan, "px pixel pixels"),
@@ -88,9 +88,8 @@ class TrackTable:
     def scale_lengths(self, factor: float, where: str) -> TrackTable:
         """The same with lengths of another unit."""
         rows = self.rows.copy()
-        lengths = ("x", "y", "glint_x", "glint_y", "x_std", "y_std", "x_fixed_std", "y_fixed_std")
-        areas = ("cov_xy", "cov_xy_fixed")
-        for names, by in ((lengths, factor), (areas, factor**2)):
+        lengths = ("x", "y", "glint_x", "glint_y", *COVARIANCE[:2], *FIXED[:2])
+        for names, by in ((lengths, factor), ((COVARIANCE[2], FIXED[2]), factor**2)):
             for name in (n for n in names if n in rows):
                 rows[name] = to_numbers(rows[name], name, where) * by
         return replace(self, rows=rows)
