@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from tracker.camera.camera_keys import CHANNELS, LONGEST_SIDE, MOST_PIXELS, PLAN
 from tracker.camera.colour_planes import is_plane, read_plane
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
+T = TypeVar("T")
 
 GREY = CHANNELS[0]
 
@@ -212,3 +213,8 @@ def check_pixel_type(path: Path | str, dtype: Any) -> None:
 def spread_frames(frames: Sequence[Any], count: int = 9) -> list[int]:
     """Choose `count` frames that are spread over a film; some come twice in a short one."""
     return [round(k * (len(frames) - 1) / (count - 1)) for k in range(count)]
+
+
+def pick_spread(items: Sequence[T], count: int) -> list[T]:
+    """Pick at most `count` items that are spread over a sequence, such as a film or numbers of frames, each once."""
+    return [items[k] for k in sorted({*spread_frames(items, count)})]

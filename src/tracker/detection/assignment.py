@@ -1,16 +1,15 @@
 """Assigns the detections of a frame to the balls that are predicted there, as one problem of greatest likelihood."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from synthcam_shared.arrays import Array, Ints
 from tracker.detection.motion_filter import (
     MAX_BALLS_FOR_ALL_PAIRS,
     MotionNoise,
@@ -20,8 +19,7 @@ from tracker.detection.motion_filter import (
     predict_hits,
 )
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+Coming: TypeAlias = tuple[Array, int]  # the positions of the next frame, and how many frames later that is
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,23 +28,17 @@ class _Step:
 
     before: PredictedBalls
     free: PredictedBalls  # the same in the later frame, if nothing hits them
-    found: Floats  # (m, 2): positions in the later frame
+    found: Array  # (m, 2): positions in the later frame
     frames: int  # from one to the other
     noise: MotionNoise
 
 
 def link_frame(
-    before: PredictedBalls,
-    found: Floats,
-    frames: int,
-    frame: int,
-    coming: tuple[Floats, int] | None,
-    noise: MotionNoise,
+    before: PredictedBalls, found: Array, frames: int, frame: int, coming: Coming | None, noise: MotionNoise
 ) -> tuple[PredictedBalls, Ints]:
     """Assign the detections of a frame to balls: the balls in that frame, and the track (m,) of each detection, or -1.
 
-    before: the balls some `frames` earlier. found: positions (m, 2). coming: those of the next frame, and how many
-    frames later that is. A ball that is not found is where it was predicted.
+    before: the balls some `frames` earlier. found: positions (m, 2). A ball not found is where it was predicted.
     """
     own = np.full(len(found), -1, dtype=np.int64)
     if not len(before):
@@ -88,7 +80,7 @@ def _find_near(step: _Step) -> Ints:
     return np.asarray(cKDTree(found).query(free.xy, k=most, distance_upper_bound=limit)[1])
 
 
-def _weigh(step: _Step, hits: PredictedHits, near: Ints) -> tuple[Floats, Ints]:
+def _weigh(step: _Step, hits: PredictedHits, near: Ints) -> tuple[Array, Ints]:
     """The log likelihood (n, k) of each detection as that of a ball over that of a false one, and how the ball came.
 
     How: -1 freely, -2 after a hit by something unseen, or the number of one of `hits`.
@@ -120,13 +112,13 @@ def _weigh(step: _Step, hits: PredictedHits, near: Ints) -> tuple[Floats, Ints]:
     return total + noise.log_seen - np.log(noise.false_density), kind
 
 
-def _log_density(square: Floats, variance: Floats | float) -> Floats:
+def _log_density(square: Array, variance: Array | float) -> Array:
     """The log density of a normal distribution in a plane, at these squared distances (n, k); variance: (n,)."""
     var = np.asarray(variance)[..., None]
     return np.asarray(-np.log(2 * np.pi * var) - square / (2 * var))
 
 
-def _confirm(step: _Step, near: Ints, gain: Floats, following: Floats, later: int) -> None:
+def _confirm(step: _Step, near: Ints, gain: Array, following: Array, later: int) -> None:
     """Lower the gain of a first step that none of the detections continues which follow some frames later."""
     unconfirmed = 0.05  # probability that the next frame does not show a ball where its motion leads
     i, k = np.nonzero((step.before.count == 1)[:, None] & (gain > 0))
@@ -139,7 +131,7 @@ def _confirm(step: _Step, near: Ints, gain: Floats, following: Floats, later: in
     gain[i, k] += np.log(unconfirmed + np.exp(-((apart / wide) ** 2) / 2))
 
 
-def _assign(gain: Floats, near: Ints, found: int) -> tuple[Ints, Ints]:
+def _assign(gain: Array, near: Ints, found: int) -> tuple[Ints, Ints]:
     """Pairs of ball and column of `near` with the greatest sum of gains, none of which is negative."""
     ball, column = np.nonzero(gain > 0)
     seen = near[ball, column]
@@ -165,7 +157,7 @@ def _assign(gain: Floats, near: Ints, found: int) -> tuple[Ints, Ints]:
     return pairs[:, 0], pairs[:, 1]
 
 
-def _uncross(step: _Step, near: Ints, gain: Floats, ball: Ints, column: Ints) -> tuple[Ints, Ints]:
+def _uncross(step: _Step, near: Ints, gain: Array, ball: Ints, column: Ints) -> tuple[Ints, Ints]:
     """The links, with those of two new balls exchanged that would pass through one another, and exchanged would not.
 
     A hit before the second frame hides the first step of both, so that likelihoods may prefer such an exchange. The
@@ -190,7 +182,7 @@ def _uncross(step: _Step, near: Ints, gain: Floats, ball: Ints, column: Ints) ->
     return ball, column
 
 
-def _find_least_distance(start: Floats, end: Floats) -> Floats:
+def _find_least_distance(start: Array, end: Array) -> Array:
     """The least distance (n,) from the origin to straight ways from `start` to `end` (n, 2)."""
     way = end - start
     share = np.clip(-(start * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12), 0.0, 1.0)

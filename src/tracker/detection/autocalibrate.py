@@ -1,7 +1,5 @@
 """Estimates from the clip what a camera file leaves open: black level, noise, gain, and the width of a glint."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -12,11 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Ints
 from tracker.camera.frames import spread_frames
-from tracker.camera.lens import Array
 from tracker.settings import DetectionSettings
 
-Ints = NDArray[np.int64]
 ROUNDING_NOISE_COUNTS = 0.29  # standard deviation of rounding to whole counts, 1/sqrt(12)
 # Sorting network for the median of nine (Paeth 1990, Graphics Gems): exact, and as fast as the minimum.
 MEDIAN_OF_NINE = (
@@ -31,10 +30,8 @@ MAX_FOLLOWED = 512  # of a frame, by centroids and linear fits
 class EmptyPlate:
     """The plate without balls."""
 
-    level: NDArray[Any]
-    """Counts (h, w), in the type of the frames."""
-    noise: float
-    """Standard deviation of one pixel in one frame, counts."""
+    level: NDArray[Any]  # counts (h, w), in the type of the frames
+    noise: float  # standard deviation of one pixel in one frame, counts
     hot: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     """Indices into the flattened plate of hot pixels, which are always bright."""
 
@@ -117,11 +114,9 @@ def estimate_noise_at_rest(change: NDArray[np.float32]) -> float:
 class Candidates:
     """Candidates of one frame, brightest first."""
 
-    column: Ints
-    """Their pixels (n,), as `row`."""
+    column: Ints  # their pixels (n,), as `row`
     row: Ints
-    strength: Array
-    """Sums (n,) of the counts above the plate in a box about the pixel."""
+    strength: Array  # sums (n,) of the counts above the plate in a box about the pixel
     crowded: bool = False
     """So many pixels are bright that the frame does not show a few balls; no candidates are returned then."""
 

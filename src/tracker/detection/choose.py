@@ -1,7 +1,5 @@
 """Chooses the detector and the colour channel that suit a film, from frames spread over it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,15 +9,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import CHANNELS, PLANES
 from tracker.camera.colour_planes import read_plane
 from tracker.camera.film_options import BallExample, parse_colour
-from tracker.camera.frames import GREY, Frames, spread_frames
-from tracker.camera.lens import Array
+from tracker.camera.frames import GREY, Frames, pick_spread, spread_frames
 from tracker.camera.recordings import Recording
-from tracker.detection.background.still_background import StillBackground, estimate_still_background
+from tracker.detection.background.still_background import estimate_still_background
 from tracker.detection.background.windows import find_regions
 from tracker.detection.candidates import MAX_FITTED, MAX_FOLLOWED, estimate_pixel_noise, median_of_nine
 from tracker.detection.outlines.contrast_regions import find_touching_discs
@@ -59,7 +57,7 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
         frames, noise = SmoothedFrames(frames), noise * 0.5
         sample = [frames[k] for k in spread_frames(frames)]
     level = median_of_nine(sample)
-    picks = sorted({*spread_frames(frames, 25)})
+    picks = pick_spread(range(len(frames)), 25)
     least = _least_contrast(noise)
     expected = camera.diameter_px / 2 if camera.knows_diameter else None
     smallest = max(MIN_BODY_AREA_PX, 0.25 * np.pi * expected**2) if expected else MIN_BODY_AREA_PX
@@ -111,7 +109,7 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     more_bodies = 1.3  # at 1.3 or more, grey hides at least one of four balls
     if frames.colours is None:
         return GREY, ""
-    picks = sorted({*spread_frames(frames, 15)})
+    picks = pick_spread(range(len(frames)), 15)
     shrink = min(1.0, longest_side_px / max(frames.shape[1:]))
     expected = shrink * camera.diameter_px / 2 if camera.knows_diameter else None
     colours = [_shrink(frames.colours(k), shrink) for k in picks]
@@ -166,7 +164,9 @@ def _rate_plane(pictures: list[NDArray[Any]], expected: float | None) -> _Rating
             bodies = find_round_bodies(picture, level, least, expected)
             column, row = np.round(bodies[:, 1:].T).astype(int)
             contrast = picture[row, column] - level[row, column]
-            seen = [_was_seen_empty(ground, b) and _differs_from_ring(picture, b, least) for b in bodies]
+            reach = np.round(bodies[:, 0]).astype(int)
+            empty = [ground.was_seen_around(*at) for at in zip(column, row, reach, strict=True)]
+            seen = [known and _differs_from_ring(picture, b, least) for known, b in zip(empty, bodies, strict=True)]
             found.append(bodies[np.array(seen, bool) & ~_are_shadows(bodies, contrast)])
             changed += int(((cv2.absdiff(picture.astype(np.float32), level) > least) & ground.known).sum())
         radii = np.concatenate(found)[:, 0]
@@ -177,12 +177,6 @@ def _rate_plane(pictures: list[NDArray[Any]], expected: float | None) -> _Rating
         rating = _Rating(len(same), share, int(np.abs(np.diff(counts)).sum()))
         best = max(best, rating, key=lambda r: r.score)
     return best
-
-
-def _was_seen_empty(ground: StillBackground, body: Array) -> bool:
-    """True if most of the ground behind a body (3,) was seen without it."""
-    reach, x, y = np.round(body).astype(int)
-    return bool(ground.known[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].mean() > 0.5)
 
 
 def _differs_from_ring(picture: NDArray[Any], body: Array, least: float) -> bool:
@@ -197,7 +191,7 @@ def _differs_from_ring(picture: NDArray[Any], body: Array, least: float) -> bool
     return len(inside) > 0 and len(ring) > 0 and abs(float(np.median(inside)) - float(np.median(ring))) > least / 2
 
 
-def _are_shadows(bodies: Array, contrast: Array) -> NDArray[np.bool_]:
+def _are_shadows(bodies: Array, contrast: Array) -> Flags:
     """Which bodies (n, 3) lie within three radii of one that differs more from the background, to the other side."""
     away = np.hypot(*(bodies[:, None, 1:] - bodies[None, :, 1:]).transpose(2, 0, 1))
     other = contrast[:, None] * contrast < 0
@@ -212,10 +206,7 @@ def _shrink(picture: NDArray[Any], times: float) -> NDArray[Any]:
 
 
 def select_channel(clip: Recording, name: str | None) -> tuple[Recording, str]:
-    """Return the recording in the channel ``name``, or in the one that suits it, and a note with the reason.
-
-    Raises InputError for a channel that the film does not have.
-    """
+    """Return the recording in the channel ``name``, or in the one that suits it, and a note why. Raises InputError."""
     if name is not None:
         return clip.select_channel(name), ""
     best, why = choose_channel_by_examples(clip) if clip.balls else choose_channel(sample_frames(clip), clip.camera)
@@ -308,7 +299,7 @@ def _least_contrast(noise: float) -> float:
     return max(8.0 * noise, 8.0)
 
 
-def _of_common_size(radii: Array, usual: float) -> NDArray[np.bool_]:
+def _of_common_size(radii: Array, usual: float) -> Flags:
     return np.asarray(np.abs(radii - usual) < 0.25 * usual)
 
 
@@ -334,7 +325,7 @@ def find_round_bodies(frame: NDArray[Any], level: NDArray[Any], least: float, ex
     return np.array(found).reshape(-1, 3)
 
 
-def _separate_discs(own: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
+def _separate_discs(own: Flags) -> list[Flags]:
     """The pixels of the discs in a region (h, w): several that touch, itself if it is round, or none."""
     min_roundness = 0.6  # area of a round region over that of the circle around it
     radius, centres = find_touching_discs(own)
@@ -344,7 +335,7 @@ def _separate_discs(own: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
     return [own & (np.hypot(x - column, y - row) <= radius) for column, row in centres]
 
 
-def _measure_body(whole: NDArray[np.float32], own: NDArray[np.bool_], least: float) -> tuple[float, float, float]:
+def _measure_body(whole: NDArray[np.float32], own: Flags, least: float) -> tuple[float, float, float]:
     """Radius and middle (x, y), px, of a body from differences from the background (h, w); radius 0 of a glint."""
     max_glint_ratio = 4.0  # contrast of the brightest spot over that halfway out; of steel only the glint is bright
     min_steepness = 0.4  # pixels over 4/5 of the contrast among those over 1/5; discs have edges, glints fade

@@ -1,16 +1,13 @@
 """The distance of two equal balls that touch, in pixels, whatever the light; `calibrate` makes the scale of it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array, Ints
 from tracker.detection.glints import PositionFlag
 from tracker.detection.link import Tracks
 
@@ -43,7 +40,7 @@ def contact_distances(tracks: Tracks) -> list[ContactDistance]:
     return out
 
 
-def _nearest(distance: Array) -> NDArray[np.int64]:
+def _nearest(distance: Array) -> Ints:
     """Rows in which two balls are nearer than in any of the FRAMES_BEFORE rows on either side."""
     if len(distance) < MIN_COMMON_FRAMES:
         return np.empty(0, np.int64)
@@ -53,7 +50,7 @@ def _nearest(distance: Array) -> NDArray[np.int64]:
     return np.flatnonzero(np.argmin(around, axis=1) == FRAMES_BEFORE)
 
 
-def _touch(frame: NDArray[np.int64], gap: Array, cov: Array, fixed: Array, k: int) -> ContactDistance | None:
+def _touch(frame: Ints, gap: Array, cov: Array, fixed: Array, k: int) -> ContactDistance | None:
     """Parabolas before and after row k of least distance, and the distance where they meet.
 
     gap: (n, 2) px from one ball to the other; cov, fixed: its covariances from frame to frame, and of a lasting shift.
@@ -83,7 +80,7 @@ def _touch(frame: NDArray[np.int64], gap: Array, cov: Array, fixed: Array, k: in
 
 
 def _meet(
-    frame: NDArray[np.int64], gap: Array, cov: Array, before: Any, after: Any, origin: float
+    frame: Ints, gap: Array, cov: Array, before: Any, after: Any, origin: float
 ) -> tuple[ContactDistance, float] | None:
     """The contact where parabolas through the rows `before` and `after` meet, and their chi^2 per degree of freedom."""
     sides, chi2, freedom = [], 0.0, 0

@@ -1,7 +1,5 @@
 """Finds detectors and linkers by name, makes their view of a clip, and detects its balls."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import math
@@ -10,12 +8,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from importlib.metadata import entry_points
 from types import ModuleType
-from typing import Any, TypeAlias, TypeGuard
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Ints
 from synthcam_shared.errors import InputError, PluginError
 from synthcam_shared.settings import did_you_mean
 from tracker.camera.camera import Camera
@@ -27,15 +26,7 @@ from tracker.detection.autocalibrate import estimate_unknown_settings
 from tracker.detection.background.takes import find_takes
 from tracker.detection.candidates import EmptyPlate, estimate_empty_plate, median_of_nine
 from tracker.detection.choose import find_radius
-from tracker.detection.detector import (
-    AnyDetector,
-    ClipDetector,
-    Detections,
-    DetectorClass,
-    Point,
-    SharedDetector,
-    View,
-)
+from tracker.detection.detector import AnyDetector, ClipDetector, Detections, DetectorClass, Point, SharedDetector, View
 from tracker.detection.glints import Glints
 from tracker.detection.own_detector import as_detector, describe_fault, is_outside_detector, load_outside, short_name
 from tracker.detection.shared_frames import share_frames
@@ -43,7 +34,7 @@ from tracker.settings import LinkSettings, TrackerSettings
 
 DetectorChoice: TypeAlias = str | DetectorClass | Callable[[NDArray[Any]], Any]
 """A detector: its name, FILE.py or MODULE:NAME, with +LINKER of another program, or the class or function itself."""
-Linker: TypeAlias = Callable[[Glints], NDArray[np.int64]]
+Linker: TypeAlias = Callable[[Glints], Ints]
 
 DEFAULT = "maximum_likelihood"
 
@@ -164,14 +155,12 @@ def blank_outside(clip: Recording, view: View) -> Recording:
 
 
 def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detections:
-    """Detect the balls of all frames of a clip, in the order of frames.
-
-    Raises InputError where the detector returns anything but `Glints` of finite numbers and of consistent shapes.
-    """
+    """Detect the balls of all frames of a clip, in order. Raises InputError for glints that are not consistent."""
     detector, numbers = load_detector(name)(view), clip.frames.numbers
     # A detector of glints predicts their motion blur from their motion: it has to know of missing frames.
     known = range(len(numbers)) if view.takes is not None else numbers.tolist()
-    if clip.helpers is not None and _is_shared(detector):
+    shares = clip.helpers is not None and _is_own(detector)
+    if shares and isinstance(detector, SharedDetector) and detector.can_share:
         found = detector.gather(share_frames(clip, detector, known))
     else:
         found = run_detector(detector, zip(known, clip.watch_frames(), strict=True), detector_name(name))
@@ -183,10 +172,6 @@ def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Detec
 def _is_own(detector: AnyDetector) -> bool:
     """Return True for a class of this program. Others may not pickle, and a subclass may change any method."""
     return type(detector).__module__.startswith("tracker.detection.detectors")
-
-
-def _is_shared(detector: AnyDetector) -> TypeGuard[SharedDetector]:
-    return _is_own(detector) and isinstance(detector, SharedDetector) and detector.can_share
 
 
 def run_detector(detector: AnyDetector, frames: Iterable[tuple[int, NDArray[Any]]], name: str) -> Detections:

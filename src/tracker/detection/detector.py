@@ -13,15 +13,13 @@ is None.
 A detector has no other hooks. ``detectors/opencv_components.py`` is a short example of the first form.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
-import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Flags
 from tracker.camera.camera import Camera
 from tracker.camera.frames import GREY
 from tracker.detection.background.takes import FilmTakes
@@ -37,22 +35,17 @@ Point: TypeAlias = Literal["glint", "centre"]
 class View:
     """The knowledge of a detector about a clip. It contains no truth."""
 
-    camera: Camera
-    """The camera file; for a detector of glints, what the file left open is estimated from the clip."""
-    plate: EmptyPlate
-    """The picture without balls: ``level`` (h, w) counts, ``noise`` counts a pixel a frame, ``hot`` pixels."""
-    frames: Sequence[Any] = ()
-    """All frames, grey (h, w), uint8 or uint16; each is read when it is indexed."""
+    camera: Camera  # the camera file; for a detector of glints, what the file left open is estimated from the clip
+    plate: EmptyPlate  # the picture without balls: `level` (h, w) counts, `noise` counts a pixel a frame, `hot` pixels
+    frames: Sequence[Any] = ()  # all frames, grey (h, w), uint8 or uint16; each is read when it is indexed
     takes: FilmTakes | None = None
     """For a detector of centres: the takes of the film, repeated frames, and the noise of a pixel."""
     settings: TrackerSettings = field(default_factory=TrackerSettings)
     """The user's settings; detectors use ``settings.detection``."""
-    area: NDArray[np.bool_] | None = None
+    area: Flags | None = None
     """The pixels (h, w) among which balls are searched; None: all. Positions outside are dropped, by any detector."""
-    radius: float | None = None
-    """Radius of the balls that the user points at, px."""
-    channel: str = GREY
-    """Which plane of a film in colour the frames are: "grey", "red", "red-blue", ..."""
+    radius: float | None = None  # radius of the balls that the user points at, px
+    channel: str = GREY  # which plane of a film in colour the frames are: "grey", "red", "red-blue", ...
 
     @property
     def sigma(self) -> float:
@@ -74,14 +67,11 @@ class OutlineRadius:
 class Detections:
     """The result of a detector for a clip."""
 
-    glints: Glints
-    """Of all frames; ``frame`` holds their numbers."""
-    notes: tuple[str, ...] = ()
-    """Sentences for the user."""
+    glints: Glints  # of all frames; `frame` holds their numbers
+    notes: tuple[str, ...] = ()  # sentences for the user
     blur: MotionBlurEvidence | None = None
     """The exposure that the glints show; None where the detector does not measure their motion blur."""
-    outline_radius: OutlineRadius | None = None
-    """Of balls that are seen whole."""
+    outline_radius: OutlineRadius | None = None  # of balls that are seen whole
 
 
 @runtime_checkable

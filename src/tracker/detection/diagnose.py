@@ -1,7 +1,5 @@
 """Explains why a clip shows no ball that can be tracked, in words that say what to change."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -11,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Flags
 from tracker.camera.film_options import BallExample
 from tracker.camera.frames import spread_frames
 from tracker.detection.candidates import CandidateSearch
@@ -219,7 +218,7 @@ def follow_bodies(tracks: Tracks, size: tuple[int, int]) -> bool:
     return len(tracks) > 0 and bool(followed >= 0.5 * len(tracks))
 
 
-def _count_resumed(tracks: Tracks, rows: list[NDArray[np.intp]], loose: NDArray[np.bool_], reach: float) -> int:
+def _count_resumed(tracks: Tracks, rows: list[NDArray[np.intp]], loose: Flags, reach: float) -> int:
     """Loose ends of tracks that another track's loose beginning continues, within 40 frames and `reach` px.
 
     rows: of each track; loose: whether its first and its last position are so, one after the other.

@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array, Ints
 
 SHADED_POSITION_ERROR_RADII = 0.01
 """Systematic position error, in ball radii, of a ball whose far side lies in its own shadow. It stays the same over
@@ -21,18 +21,12 @@ about a ball's width of travel. It is the rms of 640 positions in four films of 
 class PositionFlag(IntFlag):
     """Properties that may impair a position, as bits of a sum."""
 
-    CLIPPED = 1
-    """A pixel of it is at the sensor's limit."""
-    STREAK = 2
-    """It moved by more than half its width during the exposure."""
-    NEAR = 4
-    """Another ball is near."""
-    MISFIT = 8
-    """The residuals of its fit are larger than the noise; its covariance is increased by as much."""
-    EDGE = 16
-    """A part of it is cut off by the edge of the picture."""
-    SHADED = 32
-    """It is lit from one side; its far side lies in its own shadow."""
+    CLIPPED = 1  # a pixel of it is at the sensor's limit
+    STREAK = 2  # it moved by more than half its width during the exposure
+    NEAR = 4  # another ball is near
+    MISFIT = 8  # the residuals of its fit are larger than the noise; its covariance is increased by as much
+    EDGE = 16  # a part of it is cut off by the edge of the picture
+    SHADED = 32  # it is lit from one side; its far side lies in its own shadow
 
     @property
     def word(self) -> str:
@@ -65,13 +59,13 @@ class Glints(RowArrays):
     The positions are those of glints, or of the centres of outlines where the detector's ``point`` is "centre".
     """
 
-    frame: NDArray[np.int64]  # (n,)
+    frame: Ints  # (n,)
     x: Array  # (n,): position, px; pixel centres are at whole numbers
     y: Array
     cov: Array  # (n, 2, 2): covariance of the position, px^2
     flux: Array  # (n,): counts above the background; of an outline its area, px^2
     background: Array  # (n,): counts per pixel
-    flags: NDArray[np.int64]  # (n,): sums of `PositionFlag`
+    flags: Ints  # (n,): sums of `PositionFlag`
     fixed: Array = field(default_factory=lambda: np.empty(0))
     """The part of ``cov`` that is the same in every frame of a ball at rest, px^2. Zero where it is not known."""
 
@@ -107,7 +101,7 @@ class Glints(RowArrays):
         return Glints(np.zeros(n, np.int64), x, y, cov, flux, np.zeros(n), flags)
 
 
-def describe_flags(flags: NDArray[np.int64]) -> NDArray[np.str_]:
+def describe_flags(flags: Ints) -> NDArray[np.str_]:
     """Flags (n,) as words joined by '|'; '' where there is none."""
     table = {value: "|".join(flag.word for flag in PositionFlag(value)) for value in np.unique(flags).tolist()}
     return np.array([table[v] for v in flags.tolist()], dtype=np.str_)

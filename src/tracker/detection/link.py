@@ -4,22 +4,18 @@
 likelihood.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Ints
 from tracker.camera.camera import Camera
-from tracker.camera.lens import Array
 from tracker.detection.assignment import link_frame
 from tracker.detection.glints import Glints, RowArrays, describe_flags
 from tracker.detection.motion_filter import MotionNoise, PredictedBalls
 from tracker.settings import LinkSettings
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +46,6 @@ class Tracks(RowArrays):
     def xy(self) -> Array:
         """Positions (n, 2), px."""
         return np.stack([self.x, self.y], axis=1)
-
-    def take(self, rows: Ints | NDArray[np.bool_] | slice) -> Tracks:
-        """Those rows."""
-        return replace(self, **{name: values[rows] for name, values in vars(self).items()})
 
 
 def link_into_tracks(

@@ -1,13 +1,11 @@
 """The evidence of a clip's moving glints on the length of their motion blur, and so on the exposure."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array
 
 
 @dataclass

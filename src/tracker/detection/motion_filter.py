@@ -16,14 +16,12 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
+from synthcam_shared.arrays import Array, Ints
 from tracker.detection.glints import RowArrays
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 MAX_BALLS_FOR_ALL_PAIRS = 48  # balls, up to which all pairs are looked at
 
 
@@ -54,13 +52,13 @@ class PredictedBalls(RowArrays):
     number: Ints  # (n,) of the track
     seen: Ints  # (n,) frame of the last detection
     count: Ints  # (n,) detections
-    last: Floats  # (n, 2) position of the last detection
-    xy: Floats  # (n, 2)
-    v: Floats  # (n, 2)
-    cov: Floats  # (n, 3): of the position, of both, of the velocity
+    last: Array  # (n, 2) position of the last detection
+    xy: Array  # (n, 2)
+    v: Array  # (n, 2)
+    cov: Array  # (n, 3): of the position, of both, of the velocity
 
     @classmethod
-    def start(cls, number: Ints, frame: int, xy: Floats, noise: MotionNoise) -> PredictedBalls:
+    def start(cls, number: Ints, frame: int, xy: Array, noise: MotionNoise) -> PredictedBalls:
         """Balls that are seen for the first time."""
         n = len(number)
         cov = np.tile([noise.position**2, 0.0, (noise.reach / 2) ** 2], (n, 1))
@@ -82,19 +80,16 @@ class PredictedHits:
     """Two balls each that may meet before a frame: a row for either, with its state after the hit."""
 
     ball: Ints  # (h,) index
-    chance: Floats  # (h,)
-    xy: Floats  # (h, 2)
-    v: Floats  # (h, 2)
-    cov: Floats  # (h, 3)
+    chance: Array  # (h,)
+    xy: Array  # (h, 2)
+    v: Array  # (h, 2)
+    cov: Array  # (h, 3)
 
 
 def predict_hits(
     before: PredictedBalls, after: PredictedBalls, pairs: tuple[Ints, Ints], frames: int, noise: MotionNoise
 ) -> PredictedHits:
-    """Predict the hits of pairs of balls before the next frame, from their states in the last one.
-
-    after: the same balls in the second frame, if they do not meet.
-    """
+    """Predict the hits of pairs of balls, from their states in the last frame and in the next, if they do not meet."""
     i, j = pairs
     apart, speed = before.xy[j] - before.xy[i], before.v[j] - before.v[i]
     closing, square = (apart * speed).sum(axis=1), (speed**2).sum(axis=1)

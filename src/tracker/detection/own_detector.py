@@ -1,7 +1,5 @@
 """Detectors of users: a function in Python, or a class or function in a file or module."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import inspect

@@ -1,7 +1,5 @@
 """Examines the frames of one film in several processes: each takes a stretch of them at a time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,6 @@
 """Finds bright spots by their centroids: the centre of brightness of the pixels of a window above its rim."""
 
-from __future__ import annotations
-
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 
 from tracker.detection.candidates import MAX_FOLLOWED, CandidateSearch
 from tracker.detection.detector import View
-from tracker.detection.glints import Glints, PositionFlag
+from tracker.detection.glints import Glints
 
 
 class SpotCentroids:
@@ -49,12 +48,4 @@ class SpotCentroids:
         cov[:, 1, 1] = (noise * dy * dy).sum(axis=(1, 2)) / flux**2 + 1e-6
         cov[:, 0, 1] = cov[:, 1, 0] = (noise * dx * dy).sum(axis=(1, 2)) / flux**2
         full = (counts >= sensor.ceiling).any(axis=(1, 2))
-        return Glints(
-            frame=np.zeros(n, np.int64),
-            x=columns + x,
-            y=rows + y,
-            cov=cov,
-            flux=flux,
-            background=ground,
-            flags=np.where(full, PositionFlag.CLIPPED, 0),
-        )
+        return replace(Glints.at(columns + x, rows + y, cov, flux, full), background=ground)

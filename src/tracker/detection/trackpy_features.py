@@ -1,7 +1,5 @@
 """Converts trackpy's features to glints, for the detectors that call it. Needs the extra ``peers``."""
 
-from __future__ import annotations
-
 import importlib
 import warnings
 from typing import Any

@@ -1,7 +1,5 @@
 """Estimates the still background of a film in which balls move, or rest for a while."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -11,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.camera.frames import spread_frames
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array, Flags
+from tracker.camera.frames import pick_spread
 
 SURROUNDINGS_PX = (11, 31, 91, 271)  # widths of the neighbourhoods that are averaged, the smallest first
 
@@ -23,10 +21,14 @@ class StillBackground:
 
     level: NDArray[np.float32]  # counts
     error: NDArray[np.float32]  # standard errors of the level, counts
-    known: NDArray[np.bool_]
+    known: Flags
     """True where the pixel was seen without a ball. Elsewhere the level is that of the surroundings, and the error is
     that of the texture."""
     _blurred: dict[Any, NDArray[Any]] = field(default_factory=dict, repr=False)
+
+    def was_seen_around(self, x: int, y: int, reach: int) -> bool:
+        """True if more than half of the pixels around one were seen without a ball."""
+        return bool(self.known[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].mean() > 0.5)
 
     def blur(self, box: tuple[int, int], dtype: Any) -> NDArray[Any]:
         """Means of the level over boxes (width, height), px, rounded to the pixel type `dtype`."""
@@ -47,7 +49,7 @@ def estimate_still_background(frames: Sequence[Any], noise: float, box: tuple[in
     noise: standard deviation of one pixel in one frame, counts; box: width and height, px, over which each frame is
     averaged first. It works in strips of rows, so that a large film takes little memory beside its frames.
     """
-    pictures = [np.asarray(frames[k]) for k in sorted({*spread_frames(frames, 31)})]
+    pictures = [np.asarray(frame) for frame in pick_spread(frames, 31)]
     count = len(pictures)
     step = max(6.0 * noise, 3.0)  # counts between a pixel with and without a ball, at least
     level = np.empty(pictures[0].shape, np.float32)
@@ -146,7 +148,7 @@ def _find_box(hidden: NDArray[np.uint8]) -> tuple[slice, slice]:
     return slice(max(top - rim, 0), top + height + rim), slice(max(left - rim, 0), left + width + rim)
 
 
-def _find_beside(hidden: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _find_beside(hidden: NDArray[np.uint8]) -> Flags:
     """Pixels within 15 px of hidden ones."""
     return np.asarray((cv2.dilate(hidden, np.ones((31, 31), np.uint8)) == 1) & (hidden == 0))
 
@@ -194,10 +196,7 @@ def cut_strips(shape: tuple[int, ...], strip_pixels: int = 1 << 15) -> Iterator[
 
 
 def sort_sheets(sheets: Sequence[NDArray[Any]], ranks: Sequence[int]) -> list[NDArray[np.float32]]:
-    """Sort equal parts (h, w) of the pictures of a film pixel by pixel; return those with these ranks, 0 the least.
-
-    Pixels are uint8, uint16 or float32.
-    """
+    """Sort equal parts (h, w) of pictures, uint8, uint16 or float32, by pixel: those of these ranks, 0 the least."""
     sheets = [np.array(sheet) for sheet in sheets]
     spare = np.empty_like(sheets[0])
     for low, high in _make_network(len(sheets), tuple(ranks)):

@@ -1,7 +1,5 @@
 """Finds the takes of a film (its parts between two cuts), its repeated frames, and the noise of a pixel."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.camera.lens import Array
 from tracker.detection.candidates import ROUNDING_NOISE_COUNTS, estimate_noise_at_rest
 
 
@@ -18,14 +15,11 @@ from tracker.detection.candidates import ROUNDING_NOISE_COUNTS, estimate_noise_a
 class FilmTakes:
     """Result of one pass over a film."""
 
-    spans: tuple[tuple[int, int], ...]
-    """First and last frame of each take."""
-    scenes: tuple[int, ...]
-    """A number for each take: takes of one number show the same scene."""
+    spans: tuple[tuple[int, int], ...]  # first and last frame of each take
+    scenes: tuple[int, ...]  # a number for each take: takes of one number show the same scene
     repeated: frozenset[int]
     """Frames that nearly show the previous one again, beside the copies that the reader of the film leaves out."""
-    noise: float
-    """Standard deviation of one pixel in one frame, counts."""
+    noise: float  # standard deviation of one pixel in one frame, counts
 
     def describe(self) -> list[str]:
         """Notes for the user on cuts and repeated frames."""
@@ -63,7 +57,9 @@ def find_takes(frames: Sequence[Any]) -> FilmTakes:
             spread.append(estimate_noise_at_rest(thin - previous))
         previous = thin
     changes, means = np.array(half), np.array(mean)
-    repeated = _find_repeated(means)
+    # a repeated frame changes by less than a fifth of the three frames on either side
+    firsts = [max(min(k - 3, len(means) - 7), 0) for k in range(len(means))]
+    repeated = [k + 1 for k, at in enumerate(firsts) if means[k] < 0.2 * np.quantile(means[at : at + 7], 0.8)]
     usual = float(np.median(np.delete(changes, [k - 1 for k in repeated])))
     starts = [0, *(np.flatnonzero(changes > max(6.0 * usual, 3.0)) + 1).tolist(), len(frames)]
     lively = 0.1 * float(np.median(means))
@@ -76,12 +72,6 @@ def find_takes(frames: Sequence[Any]) -> FilmTakes:
     # Two pictures of one scene differ by noise, about the usual change, and by 2 counts of the encoder.
     scenes = _number_scenes(middles, 2.0 + 4 * usual)
     return FilmTakes(tuple(spans), scenes, frozenset(repeated), noise)
-
-
-def _find_repeated(means: Array) -> list[int]:
-    """Frames that repeat the previous one: they change by less than a fifth of the three frames on either side."""
-    firsts = [max(min(k - 3, len(means) - 7), 0) for k in range(len(means))]
-    return [k + 1 for k, at in enumerate(firsts) if means[k] < 0.2 * np.quantile(means[at : at + 7], 0.8)]
 
 
 def _number_scenes(pictures: list[NDArray[np.float32]], tolerance: float) -> tuple[int, ...]:

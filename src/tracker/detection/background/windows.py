@@ -1,7 +1,5 @@
 """Finds connected regions: coarsely, in tiles of a picture, and pixel by pixel where a tile has some."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -9,6 +7,8 @@ from typing import TypeAlias
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from synthcam_shared.arrays import Flags
 
 TILE_PX = 16
 
@@ -23,7 +23,7 @@ class PixelRegion:
     left: int
     top: int
     area: int
-    own: NDArray[np.bool_]
+    own: Flags
 
     @property
     def at(self) -> Index:
@@ -37,9 +37,7 @@ class PixelRegion:
         return min(self.left, self.top) == 0 or rows.stop == shape[0] or columns.stop == shape[1]
 
 
-def find_regions(
-    rough: NDArray[np.bool_], least: float, examine: Callable[[Index], NDArray[np.bool_]] | None = None
-) -> list[PixelRegion]:
+def find_regions(rough: Flags, least: float, examine: Callable[[Index], Flags] | None = None) -> list[PixelRegion]:
     """Find the connected regions of more than `least` pixels, the largest first.
 
     rough: a quick mask (h, w) that holds all of their pixels, and few others. examine: takes the index of a window, and
@@ -57,7 +55,7 @@ def find_regions(
     return sorted(found, key=lambda region: -region.area)
 
 
-def _find_windows(mask: NDArray[np.bool_], least: float) -> Iterator[tuple[Index, NDArray[np.bool_]]]:
+def _find_windows(mask: Flags, least: float) -> Iterator[tuple[Index, Flags]]:
     """Windows with regions of more than `least` pixels, each region in one of them; and the pixels of their tiles."""
     height, width = mask.shape
     counts = _count_in_tiles(mask)
@@ -74,7 +72,7 @@ def _find_windows(mask: NDArray[np.bool_], least: float) -> Iterator[tuple[Index
         yield (rows, columns), own[: rows.stop - rows.start, : columns.stop - columns.start]
 
 
-def _count_in_tiles(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _count_in_tiles(mask: Flags) -> NDArray[np.int32]:
     """How many pixels of each tile are true."""
     height, width = mask.shape
     whole = height // TILE_PX

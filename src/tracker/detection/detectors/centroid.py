@@ -1,7 +1,5 @@
 """Centre of brightness of the pixels above the plate: simple, fast, and the method of most programs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from numpy.typing import NDArray

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.steps import report_step
 from tracker.camera.colour_planes import is_plane
-from tracker.camera.frames import Frames, spread_frames
-from tracker.camera.lens import Array
+from tracker.camera.frames import Frames, pick_spread
 from tracker.detection.background.still_background import StillBackground, average_uncovered, estimate_still_background
 from tracker.detection.background.takes import find_takes
 from tracker.detection.background.windows import Index, PixelRegion, find_regions
@@ -93,7 +93,9 @@ class Discs:
         large = not knows_radius or given > 7.5
         self.box = (5, 5) if self.is_noisy and large else (3, 3)
         self.low = max(self.settings.disc_contrast_sigma * self.noise / self.box[0], self.settings.disc_contrast_counts)
-        samples, survey = self._choose_samples(), self._choose_survey()
+        fresh = sorted(self.scene_of)
+        survey, scenes = pick_spread(fresh, 25), sorted(set(self.takes.scenes))
+        samples = {scene: pick_spread([k for k in fresh if self.scene_of[k] == scene], 31) for scene in scenes}
         # of the frames that the survey looks at
         tally = _Tally(to_survey=len(survey) + sum(map(len, samples.values())))
         if isinstance(view.frames, Frames):
@@ -136,10 +138,7 @@ class Discs:
         return self.signs != (0,)
 
     def detect(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Detections:
-        """Discs of all frames except those between takes and repeated ones.
-
-        The flux is the area, px^2, of a ball of that size.
-        """
+        """Discs of all frames except those between takes and repeated ones; the flux is the area, px^2, of a ball."""
         return self.gather((number, self.examine(number, frame)) for number, frame in frames)
 
     can_share: ClassVar[bool] = True
@@ -151,7 +150,9 @@ class Discs:
             return Glints.none(), tally
         seen = _SeenFrame.of(frame, self.scenes[self.scene_of[number]])
         found = self._in_frame(seen, tally)
-        moves = np.array([self._was_seen_empty(seen.ground, at) for at in found.xy], dtype=bool)
+        # a disc in a position that was never seen empty may always be there
+        middles, reach = np.round(found.xy).astype(int), int(self.radius)
+        moves = np.array([seen.ground.was_seen_around(x, y, reach) for x, y in middles], dtype=bool)
         if (~moves).sum() > MAX_ALWAYS_THERE:
             found = found.take(moves)
             tally.refused += int((~moves).sum())
@@ -222,25 +223,6 @@ class Discs:
         if len(self.radii) > 1:
             yield "discs of two sizes: " + " and ".join(f"{2 * r:.1f} px across" for r in self.radii)
 
-    def _was_seen_empty(self, ground: StillBackground, at: Array) -> bool:
-        """True if more than half of a disc's area was seen without it; otherwise it may always be there."""
-        x, y = np.round(at).astype(int)
-        reach = int(self.radius)
-        return bool(ground.known[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].mean() > 0.5)
-
-    def _choose_samples(self) -> dict[int, list[int]]:
-        """Numbers of 31 frames spread over all takes of each scene."""
-        chosen = dict[int, list[int]]()
-        for scene in sorted(set(self.takes.scenes)):
-            fresh = sorted(k for k, own in self.scene_of.items() if own == scene)
-            chosen[scene] = [fresh[i] for i in sorted({*spread_frames(fresh, 31)})]
-        return chosen
-
-    def _choose_survey(self) -> list[int]:
-        """Numbers of 25 frames spread over the film."""
-        fresh = sorted(self.scene_of)
-        return [fresh[i] for i in sorted({*spread_frames(fresh, 25)})]
-
     def _clean_background(self, scene: int, sample: list[NDArray[Any]], tally: _Tally) -> StillBackground:
         """The background of a scene, without the balls, shadows and other objects in these of its frames."""
         ground = self._average_uncovered(sample, self.scenes[scene], tally)
@@ -299,7 +281,7 @@ class Discs:
         least, reach = np.pi * self.settings.min_disc_radius_px**2, max(self.box) // 2
         rounding = 1.0  # counts, of both means
 
-        def examine(at: Index) -> NDArray[np.bool_]:
+        def examine(at: Index) -> Flags:
             top, left = (max(side.start - reach, 0) for side in at)
             wide = slice(top, at[0].stop + reach), slice(left, at[1].stop + reach)
             mean = cv2.blur(seen.difference(wide), self.box)
@@ -462,17 +444,8 @@ class Discs:
             matrix[:, 1, 0] = matrix[:, 0, 1]
         rim = np.minimum.reduce([x, y, shape[1] - 1 - x, shape[0] - 1 - y]) <= radii
         flags |= np.where(rim, PositionFlag.EDGE, 0) | (PositionFlag.SHADED if self.is_shaded else 0)
-        nothing = np.zeros(len(fits))
-        return Glints(
-            frame=nothing.astype(np.int64),
-            x=x,
-            y=y,
-            cov=cov,
-            flux=np.array([np.pi * r**2 for r in radii]),
-            background=nothing,
-            flags=flags.astype(np.int64),
-            fixed=fixed,
-        )
+        area = [np.pi * r**2 for r in radii]
+        return replace(Glints.at(x, y, cov, area), flags=flags.astype(np.int64), fixed=fixed)
 
 
 def _measure_change(frame: NDArray[Any], level: NDArray[np.float32]) -> float:
@@ -491,18 +464,15 @@ def _find_rays(centres: list[tuple[float, float]], radius: float, shape: tuple[i
 
 
 def _lit_from_one_side(discs: list[ContrastRegion]) -> bool:
-    """True if discs are brighter on one side, all on the same.
-
-    The median of their relative change of contrast over a radius must exceed .15. Four fifths of the discs must have
-    half of it in that direction.
-    """
+    """True if discs are brighter on one side, all on the same."""
     leans = np.array([disc.lean for disc in discs])
     mean = np.median(leans, axis=0)
     size = float(np.hypot(*mean))
+    # the median change of contrast over a radius, and half of it in that direction for four fifths of the discs
     return size > 0.15 and float(np.quantile(leans @ mean / size, 1 - 0.8)) > 0.15 / 2
 
 
-def _are_equal(radii: Array, radius: Any) -> NDArray[np.bool_]:
+def _are_equal(radii: Array, radius: Any) -> Flags:
     """Which radii are those of one kind of ball: within a tenth."""
     return np.asarray(np.abs(radii / radius - 1) < 0.1)
 

@@ -4,14 +4,13 @@ A ball is brighter on one side, and its neighbours shine beside its glint. Both 
 pixel, in all frames towards the same side. The fit tells such light from the glint.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
 from tracker.detection.likelihood.cramer_rao import compute_glint_shape
@@ -22,8 +21,6 @@ from tracker.detection.spot_centroids import SpotCentroids
 CURVED_LIGHT_SHARE = 0.15  # of the shift that the fit removes
 UNEVEN_LIGHT_SHARE = 0.003  # of the width of a spot
 
-Floats = NDArray[np.float64]
-
 
 class LinearFit:
     """Least squares of the spot, its two derivatives and a plane, with the noise of each pixel."""
@@ -33,8 +30,9 @@ class LinearFit:
         self.find_centroids = SpotCentroids(view)
         self.half = self.find_centroids.half
 
-    def __call__(self, frame: NDArray[Any], *, most_px: float = 0.5) -> Glints:
-        """Glints of one frame; most_px: of a shift by the fit, beyond which the centroid stays, with that error."""
+    def __call__(self, frame: NDArray[Any]) -> Glints:
+        """Glints of one frame."""
+        most_px = 0.5  # of a shift by the fit, beyond which the centroid stays, with that error
         found = self.find_centroids(frame)
         n, span = len(found), np.arange(-self.half, self.half + 1)
         if n == 0:
@@ -54,11 +52,8 @@ class LinearFit:
         moved = np.where(good[:, None], shift, 0.0)
         return replace(found, x=found.x + moved[:, 0], y=found.y + moved[:, 1], cov=own + fixed, fixed=fixed)
 
-    def _fit(self, counts: Floats, off: Floats, blurs: Floats) -> tuple[Floats, Floats]:
-        """Shifts (n, 2) from positions `off` in their windows to those of the fits, and their covariances by noise, px.
-
-        They are NaN where the fit has no light.
-        """
+    def _fit(self, counts: Array, off: Array, blurs: Array) -> tuple[Array, Array]:
+        """Shifts (n, 2), px, from positions `off` to those of the fits, and covariances by noise; NaN without light."""
         n, span = len(off), np.arange(-self.half, self.half + 1)
         spot = compute_glint_shape(off, blurs, self.sigma, self.half)
         plane = np.stack([np.ones((len(span), len(span))), *np.meshgrid(span, span)])
@@ -70,7 +65,7 @@ class LinearFit:
         flux = np.where(flux > 0, flux, np.nan)
         return np.stack(moment, axis=1) / flux[:, None], cov[:, 1:3, 1:3] / (flux**2)[:, None, None]
 
-    def _find_blurs(self, light: Floats, off: Floats) -> Floats:
+    def _find_blurs(self, light: Array, off: Array) -> Array:
         """Displacements (n, 2) during the exposure, px: a line of that length has the spot's second moments."""
         weight = np.maximum(light - 2.0 * self.noise, 0.0)
         weight /= np.maximum(weight.sum(axis=(1, 2), keepdims=True), 1e-9)

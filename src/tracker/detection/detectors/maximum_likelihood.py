@@ -6,8 +6,6 @@ Candidates are collected frame by frame. A block of them is then fitted in two p
 2. fit again where the better velocities change the blur, or where a neighbour adds a secondary glint.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -16,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.mirror_images import locate_zenith_point
 from tracker.detection.candidates import Candidates, CandidateSearch
 from tracker.detection.detector import Detections, View
@@ -30,15 +28,13 @@ from tracker.detection.likelihood.patches import (
     CandidatePatches,
     GlintGeometry,
     Patch,
-    PatchStack,
     cut_patches,
     make_windows,
+    stack_patches,
 )
 from tracker.detection.link import assign_track_numbers, estimate_velocities
 from tracker.detection.motion_blur import MotionBlurEvidence
 
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 SMEARED_RADII = 0.3  # displacement during the exposure from which on a ball's profile is not the learnt one
 
 
@@ -47,7 +43,7 @@ class _BlockFit:
     """Fitted glints of a block."""
 
     glints: Glints
-    good: Mask  # which fits are a glint's
+    good: Flags  # which fits are a glint's
     light: Array  # (n, 3): covariance of position and log flux, px, and variance of the log flux
     secondary: Array  # (n, 4): flux of the secondary glint, counts; its covariance with the position; its variance
 
@@ -92,14 +88,15 @@ class MaximumLikelihood:
 
     def gather(self, examined: Iterable[tuple[int, tuple[Candidates, list[Patch]]]]) -> Detections:
         """The glints of these candidates, fitted in blocks."""
-        parts = [Glints.none()]
-        waiting = PatchStack()
+        parts, waiting, count = [Glints.none()], list[tuple[int, Candidates, list[Patch]]](), 0
         for number, (found, patches) in examined:
-            waiting.add(number, found, patches)
-            if len(waiting) >= self.settings.block_windows:
-                parts.append(self._fit_block(waiting.take_all()))
-        if len(waiting):
-            parts.append(self._fit_block(waiting.take_all()))
+            waiting.append((number, found, patches))
+            count += len(patches)
+            if count >= self.settings.block_windows:
+                parts.append(self._fit_block(stack_patches(waiting)))
+                waiting, count = [], 0
+        if count:
+            parts.append(self._fit_block(stack_patches(waiting)))
         return Detections(glints=Glints.join(parts), blur=self.blur)
 
     def _fit_block(self, patches: CandidatePatches) -> Glints:
@@ -162,10 +159,10 @@ class MaximumLikelihood:
         exposed_frames = self.camera.effective_exposure * self.camera.fps
         return estimate_velocities(glints.frame, ids, glints.xy) * exposed_frames
 
-    def _is_isolated(self, patches: CandidatePatches) -> Mask:
+    def _is_isolated(self, patches: CandidatePatches) -> Flags:
         return find_isolated(patches.frame, patches.position, 3.0 * self.camera.diameter_px)
 
-    def _collect_blur_evidence(self, patches: CandidatePatches, found: Glints, good: Mask) -> None:
+    def _collect_blur_evidence(self, patches: CandidatePatches, found: Glints, good: Flags) -> None:
         """Add what the 24 fastest and the 24 slowest isolated glints show of the length of the blur."""
         count = 24
         length = np.hypot(*patches.blur.T)
@@ -192,7 +189,7 @@ class MaximumLikelihood:
         self.profile, found = learn_profile(windows, self.sigma, self.levelled, self.geometry.profile_end)
         patches.position[rows] = origin + found
 
-    def _fit(self, patches: CandidatePatches, bowl_of_own: Mask, secondaries: Array) -> _BlockFit:
+    def _fit(self, patches: CandidatePatches, bowl_of_own: Flags, secondaries: Array) -> _BlockFit:
         """Fit n glints in groups of one kind of window; `secondaries` (n, 3): their positions, px, and 1, or zeros."""
         n, blur, halves = len(patches), patches.blur, self.geometry.half_of_blur(patches.blur)
         # Near a neighbour, or smeared, a ball has another profile than the learnt one. A clipped glint keeps the
@@ -235,7 +232,7 @@ class MaximumLikelihood:
         }
         return np.asarray(sum(flag * holds for flag, holds in properties.items()), dtype=np.int64)
 
-    def _is_good(self, result: GlintFit, xy: Array, half: int) -> Mask:
+    def _is_good(self, result: GlintFit, xy: Array, half: int) -> Flags:
         """True if fits converged in their window, in the picture, on a significant flux."""
         in_view = np.all((xy > -0.5) & (xy < np.array(self.geometry.size) - 0.5), axis=1)
         in_window = np.max(np.abs(result.xy), axis=1) < half
@@ -249,7 +246,7 @@ def _rough_glints(patches: CandidatePatches) -> Glints:
     return replace(Glints.at(x, y, 1.0, patches.strength), frame=patches.frame)
 
 
-def _correct_by_reflectance(found: Glints, second: Array, ratio: Array, is_open: Mask) -> None:
+def _correct_by_reflectance(found: Glints, second: Array, ratio: Array, is_open: Flags) -> None:
     """Correct glints by the common reflectance; `second` as in `_BlockFit`, flux ratios (n,) from geometry."""
     rows = np.flatnonzero(is_open & (ratio > 0) & (second[:, 3] > 0))
     unit = ratio[rows] * found.flux[rows]

@@ -1,7 +1,5 @@
 """OpenCV's SimpleBlobDetector, for comparison: bright spots of a glint's size, or of a ball's."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

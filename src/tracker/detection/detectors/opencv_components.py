@@ -1,13 +1,12 @@
 """OpenCV's connected components with a weighted centroid: the usual short script, for comparison."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Flags
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
 
@@ -37,7 +36,7 @@ class OpencvComponents:
         cov[:, 0, 0], cov[:, 1, 1] = xx, yy
         return Glints.at(left + x, top + y, cov, mass, full > 0)
 
-    def _centre(self, risen: NDArray[Any], own: NDArray[np.bool_], counts: NDArray[Any]) -> tuple[float, ...]:
+    def _centre(self, risen: NDArray[Any], own: Flags, counts: NDArray[Any]) -> tuple[float, ...]:
         """Position from the box's corner, its variances, flux, and whether a pixel is clipped."""
         sensor = self.view.camera.sensor
         weight = np.where(own, risen, 0).astype(np.float64)

@@ -1,13 +1,12 @@
 """scikit-image's Laplacian of Gaussian (``blob_log``), for comparison: its positions are whole pixels."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from skimage.feature import blob_log
 
+from synthcam_shared.arrays import Array, Ints
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
 
@@ -38,7 +37,7 @@ class SkimageBlobLog:
         cov = np.tile(np.eye(2) / 12.0, (len(row), 1, 1))  # px^2, of rounding to whole pixels
         return Glints.at(column, row, cov, flux, full)
 
-    def _one_a_ball(self, x: NDArray[np.int64], y: NDArray[np.int64], height: NDArray[np.float64]) -> list[int]:
+    def _one_a_ball(self, x: Ints, y: Ints, height: Array) -> list[int]:
         """The blobs, strongest first, that are further than .8 of a ball from every stronger one."""
         kept: list[int] = []
         for k in np.argsort(-height, kind="stable").tolist():

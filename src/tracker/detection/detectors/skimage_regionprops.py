@@ -1,7 +1,5 @@
 """scikit-image's labelled regions with a weighted centroid: a usual script, for comparison."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

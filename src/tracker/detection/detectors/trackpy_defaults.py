@@ -1,7 +1,5 @@
 """trackpy's detector with its default settings; only the feature's size is given. Needs the extra ``peers``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """trackpy's own detector (Crocker & Grier 1996), tuned to glints, or to balls seen whole. Needs the extra ``peers``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ distributed. The distribution of the measured ones, as a map of the pixel onto i
 this since its pull request 799. The code here follows the paper, for releases without it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -14,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.detection.detector import Detections
 from tracker.detection.glints import Glints
 from tracker.detection.trackpy_features import TrackpyDetector, round_to_odd_diameter
-
-Floats = NDArray[np.float64]
 
 
 class TrackpySpiff(TrackpyDetector):
@@ -41,7 +38,7 @@ class TrackpySpiff(TrackpyDetector):
         return Detections(replace(found, x=x, y=y))
 
 
-def flatten_subpixel_distribution(positions: Floats) -> Floats:
+def flatten_subpixel_distribution(positions: Array) -> Array:
     """Positions along one axis, px, corrected so that their parts within the pixel are uniformly distributed.
 
     Positions within .05 px of one another are those of a ball at rest and count once. With fewer than 20 there is no

@@ -1,12 +1,10 @@
 """The ball profile: the image of the room around a glint, as it fades from where the ball mirrors the zenith."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array
 
 POWERS = (2, 3, 4)  # of 1 - q in the profile: at q = 1 it ends without a kink
 

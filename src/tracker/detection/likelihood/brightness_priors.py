@@ -9,11 +9,9 @@ Both condition normal errors. If a quantity with variance v is off by d, a posit
 d / v.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array
 
 
 def apply_flux_prior(xy: Array, cov: Array, log_flux: Array, cross: Array, own: Array) -> tuple[Array, Array]:

@@ -5,8 +5,6 @@ exposure. Fisher information: F_ab = sum_i J(m_i) d_a m_i d_b m_i over the pixel
 3.9 of Kay (1993), with a variance that follows the mean. Clipped pixels enter by their censored likelihood.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, ndtr
 
+from synthcam_shared.arrays import Array
 from tracker.camera.camera import Camera
-from tracker.camera.lens import Array
 from tracker.camera.sensor import SensorSpec
 
 ROOT_TWO_PI = math.sqrt(2.0 * math.pi)
@@ -105,11 +103,7 @@ def compute_fisher_information(weight: Array, parts: Array) -> Array:
 
 
 def localisation_bound(
-    camera: Camera,
-    flux: ArrayLike,
-    xy: ArrayLike,
-    blur: ArrayLike | None = None,
-    background: ArrayLike | None = None,
+    camera: Camera, flux: ArrayLike, xy: ArrayLike, blur: ArrayLike | None = None, background: ArrayLike | None = None
 ) -> Array:
     """Cramer-Rao bound (n, 2, 2), px^2, of the positions of glints, with free flux and flat background.
 

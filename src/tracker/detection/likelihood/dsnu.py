@@ -1,7 +1,5 @@
 """Estimates the fixed offsets of pixels (DSNU) from the visible plate, as a dark frame would give them."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -9,10 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array, Ints
 from tracker.detection.candidates import EmptyPlate
-
-Ints = NDArray[np.int64]
 
 MIN_FRAMES = 16  # from which offsets are estimated
 MAX_DEVIATION = 4.0  # standard deviations; more is an outlier
@@ -64,7 +60,7 @@ class DsnuEstimator:
         return over, math.sqrt(own * (1.0 - own / whole))
 
 
-def _variance(values: NDArray[np.float64]) -> float:
+def _variance(values: Array) -> float:
     """Variance of the values without outliers."""
     spread = float(np.std(values))
     for _ in range(3):

@@ -7,16 +7,13 @@ free level and a free bowl, to second order about its middle. Newton steps use t
 scoring), whose inverse is the covariance.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array, Flags
 from tracker.camera.sensor import SensorSpec
 from tracker.detection.glints import RowArrays
 from tracker.detection.likelihood.ball_profile import POWERS, BallProfile
@@ -28,7 +25,6 @@ from tracker.detection.likelihood.cramer_rao import (
     pixel_noise,
 )
 
-Mask = NDArray[np.bool_]
 MAX_COUNTS = 1e6  # of a background's parameters, where a fit runs away
 
 
@@ -60,7 +56,7 @@ class GlintFit(RowArrays):
     fixed: Array  # (n, 2, 2): the part that is the same in every frame of a ball at rest
     chi2: Array  # per degree of freedom, over open pixels
     loglik: Array
-    converged: NDArray[np.bool_]
+    converged: Flags
     cross: Array  # (n, 2): covariance of position and log flux, px
     secondary: Array  # (n, 4): flux of the first secondary glint, counts; its covariance with x and y; its variance
 
@@ -228,7 +224,7 @@ def learn_profile(windows: GlintWindows, sigma: float, sensor: SensorSpec, end: 
 
 
 def score_blur_length(
-    windows: GlintWindows, known: Array, still: NDArray[np.bool_], sigma: float, sensor: SensorSpec
+    windows: GlintWindows, known: Array, still: Flags, sigma: float, sensor: SensorSpec
 ) -> tuple[Array, Array]:
     """Fit how the glint of each window depends on the length of its blur: score and information on its logarithm.
 
@@ -274,7 +270,7 @@ def _bends(theta: Array, windows: GlintWindows, sigma: float) -> tuple[Array, Ar
 
 
 def _finish(
-    theta: Array, seen: _Comparison, windows: GlintWindows, step: Array, converged: Mask, sensor: SensorSpec
+    theta: Array, seen: _Comparison, windows: GlintWindows, step: Array, converged: Flags, sensor: SensorSpec
 ) -> GlintFit:
     """The results of fits whose last ``step`` (n, p) increases the log likelihood by half of step . slope."""
     mean, variance, flux = seen.mean, seen.variance, np.exp(theta[:, 2])

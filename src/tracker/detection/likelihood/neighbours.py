@@ -4,34 +4,29 @@ A secondary glint is the lamp as one ball shows it after a reflection at the oth
 by the distance of candidates (`CandidateSearch`) and fitted together with the primary one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.camera import Camera
-from tracker.camera.lens import Array
 from tracker.camera.mirror_images import locate_secondary_glints, secondary_flux_ratio
 from tracker.detection.glints import Glints
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
     """The nearest other ball of each of n glints, and the secondary glint that it makes."""
 
-    is_near: NDArray[np.bool_]  # the other ball is so near, 1.5 diameters, that it alters the profile of the glint
+    is_near: Flags  # the other ball is so near, 1.5 diameters, that it alters the profile of the glint
     secondary: Array  # (n, 3): position of the secondary glint, px, and 1; or zeros
     flux_ratio: Array
     """Flux of the secondary glint over that of the primary one, except for a factor of the balls' reflectance. Zero
     where it is too faint to show that reflectance."""
 
 
-def find_neighbouring_glints(glints: Glints, good: NDArray[np.bool_], camera: Camera) -> Neighbours:
+def find_neighbouring_glints(glints: Glints, good: Flags, camera: Camera) -> Neighbours:
     """Find the neighbours of the good ones of the glints (n,) in their frames."""
     distance, other = np.full(len(glints), np.inf), np.zeros((len(glints), 2))
     rows = np.flatnonzero(good)
@@ -51,7 +46,7 @@ def find_neighbouring_glints(glints: Glints, good: NDArray[np.bool_], camera: Ca
     return Neighbours(distance < 1.5 * diameter, secondary, flux_ratio)
 
 
-def find_isolated(frame: Ints, position: Array, distance: float) -> NDArray[np.bool_]:
+def find_isolated(frame: Ints, position: Array, distance: float) -> Flags:
     """Find the detections (n,), sorted by frame, that have no neighbour within a distance, px, in their frame."""
     return _find_nearest(frame, position)[0] >= distance
 

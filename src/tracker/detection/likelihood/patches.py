@@ -1,22 +1,20 @@
 """Cuts the pixels around candidates out of frames, and the windows around glints in which they are fitted."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.detection.candidates import Candidates, estimate_coarse_positions
 from tracker.detection.detector import View
 from tracker.detection.glints import RowArrays
 from tracker.detection.likelihood.glint_fit import GlintWindows
 
-Ints = NDArray[np.int64]
-Patch: TypeAlias = tuple[NDArray[Any], NDArray[np.bool_]]  # counts (p, p), and which pixels of it can be used
+Patch: TypeAlias = tuple[NDArray[Any], Flags]  # counts (p, p), and which pixels of it can be used
 
 
 class GlintGeometry:
@@ -58,48 +56,32 @@ class CandidatePatches(RowArrays):
     row: Ints
     strength: Array  # as of `Candidates`
     counts: NDArray[Any]  # (n, p, p)
-    inside: NDArray[np.bool_]  # (n, p, p): pixels that lie in the frame and are not hot
-    level: NDArray[np.bool_]  # (n,): the counts are corrected for the fixed offsets of their pixels
+    inside: Flags  # (n, p, p): pixels that lie in the frame and are not hot
+    level: Flags  # (n,): the counts are corrected for the fixed offsets of their pixels
     position: Array  # (n, 2): first positions of the glints, px
     blur: Array  # (n, 2): displacements during the exposure, px
     bowl: Array  # (n, 2): from the glints to the middles of the ball profiles, px
 
 
-def cut_patches(frame: NDArray[Any], found: Candidates, reach: int, sound: NDArray[np.bool_]) -> list[Patch]:
+def cut_patches(frame: NDArray[Any], found: Candidates, reach: int, sound: Flags) -> list[Patch]:
     """Cut the pixels out to `reach` around each candidate of a frame; `sound` (h, w): which pixels are not hot."""
     at = zip(found.row.tolist(), found.column.tolist(), strict=True)
     return [_cut(frame, *one, reach, sound) for one in at]
 
 
-class PatchStack:
-    """Gathers the patches of many frames."""
-
-    def __init__(self) -> None:
-        self.found, self.numbers, self.parts = list[Candidates](), list[int](), list[Patch]()
-
-    def __len__(self) -> int:
-        return len(self.parts)
-
-    def add(self, number: int, found: Candidates, patches: list[Patch]) -> None:
-        """Add the patches of one frame's candidates."""
-        self.parts += patches
-        self.numbers += [number] * len(found.row)
-        self.found.append(found)
-
-    def take_all(self) -> CandidatePatches:
-        """The patches, of which there must be one at least; the stack is then empty."""
-        counts, inside = (np.stack(part) for part in zip(*self.parts, strict=True))
-        column, row, strength = (
-            np.concatenate([getattr(found, name) for found in self.found]) for name in ("column", "row", "strength")
-        )
-        position = np.column_stack([column, row]) + estimate_coarse_positions(counts, counts.shape[1] // 2)
-        level, unknown = np.zeros(len(counts), bool), np.zeros_like(position)
-        frame = np.array(self.numbers)
-        self.found, self.numbers, self.parts = [], [], []
-        return CandidatePatches(frame, column, row, strength, counts, inside, level, position, unknown, unknown)
+def stack_patches(frames: Sequence[tuple[int, Candidates, list[Patch]]]) -> CandidatePatches:
+    """Stack the patches of numbered frames, of which there must be one at least."""
+    frame = np.concatenate([np.full(len(found.row), number) for number, found, _ in frames])
+    column, row, strength = (
+        np.concatenate([getattr(found, name) for _, found, _ in frames]) for name in ("column", "row", "strength")
+    )
+    counts, inside = (np.stack(part) for part in zip(*(patch for *_, own in frames for patch in own), strict=True))
+    position = np.column_stack([column, row]) + estimate_coarse_positions(counts, counts.shape[1] // 2)
+    level, unknown = np.zeros(len(counts), bool), np.zeros_like(position)
+    return CandidatePatches(frame, column, row, strength, counts, inside, level, position, unknown, unknown)
 
 
-def _cut(frame: NDArray[Any], row: int, column: int, reach: int, sound: NDArray[np.bool_]) -> Patch:
+def _cut(frame: NDArray[Any], row: int, column: int, reach: int, sound: Flags) -> Patch:
     """The pixels (p, p) around one, those of the rim repeated beyond it, and which are in the frame and not hot."""
     h, w = frame.shape
     if reach <= row < h - reach and reach <= column < w - reach:

@@ -1,15 +1,13 @@
 """laptrack (Fukai & Kawaguchi 2023, Bioinformatics 39, btac799): linear assignment, with gaps closed."""
 
-from __future__ import annotations
-
 import importlib
 import warnings
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Ints
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.detection.glints import Glints
@@ -26,12 +24,10 @@ class Laptrack:
             raise InputError("linker laptrack: laptrack is not installed, expected pip install laptrack") from None
         reach = max(settings.max_speed_m_s / camera.fps / camera.scale, camera.diameter_px)
         self.tracker = package.LapTrack(
-            cutoff=reach**2,
-            gap_closing_cutoff=(2 * reach) ** 2,
-            gap_closing_max_frame_count=settings.max_gap_frames,
+            cutoff=reach**2, gap_closing_cutoff=(2 * reach) ** 2, gap_closing_max_frame_count=settings.max_gap_frames
         )
 
-    def __call__(self, glints: Glints) -> NDArray[np.int64]:
+    def __call__(self, glints: Glints) -> Ints:
         """The particle (n,) of each detection; -1 for none."""
         if len(glints) == 0:
             return np.empty(0, np.int64)

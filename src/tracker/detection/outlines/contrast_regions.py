@@ -1,19 +1,18 @@
 """Regions that differ from a still background: distinguishes a disc from several discs, a shadow, or something else."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array, Flags
 
 MIN_BLUR_PX = 1.5  # the shortest displacement during the exposure that is fitted; shorter ones do not show
 MIN_STREAK_FULLNESS = 0.96
+Lit: TypeAlias = tuple[NDArray[Any], Flags]  # contrasts in a box, counts, and which of its pixels count
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,27 +39,20 @@ class ContrastRegion:
             return self.minor
         return float((np.sqrt(long**2 + np.pi * self.area) - long) / np.pi)
 
-    def why_no_disc(self, radius: float, tolerance: float, elongated: bool = False) -> str:
-        """Say why it is not the shape of one disc that moved a little; '' if it is.
+    def is_disc(self, radius: float, tolerance: float, elongated: bool = False) -> bool:
+        """True if it has the shape of one disc that moved a little.
 
         radius, tolerance: of the disc, px, and relative to it. elongated: balls look elongated at rest. Their blur and
         the radius without it then mean little.
         """
         smaller = 0.35 if elongated else tolerance
-        if radius - self.minor >= tolerance * radius or radius - self.radius >= smaller * radius:
-            return "too small"
-        if max(self.minor, self.radius) - radius >= tolerance * radius:
-            return "too large"
-        if self.fullness <= 0.9:
-            return "not round"
+        too_small = radius - self.minor >= tolerance * radius or radius - self.radius >= smaller * radius
+        too_large = max(self.minor, self.radius) - radius >= tolerance * radius
+        if too_small or too_large or self.fullness <= 0.9:
+            return False
         long = float(np.hypot(*self.blur)) / max(radius, 1e-9)
         # Two discs that touch are as long as a streak of 3.5 radii, but have a waist.
-        streak = elongated and long < 3.5 and self.fullness > MIN_STREAK_FULLNESS
-        return "too long" if long >= 2.2 and not streak else ""
-
-    def is_disc(self, radius: float, tolerance: float, elongated: bool = False) -> bool:
-        """True if it has the shape of one disc of this radius, as `why_no_disc` says."""
-        return not self.why_no_disc(radius, tolerance, elongated)
+        return long < 2.2 or (elongated and long < 3.5 and self.fullness > MIN_STREAK_FULLNESS)
 
     @property
     def at(self) -> tuple[slice, slice]:
@@ -74,7 +66,7 @@ class ContrastRegion:
 
 
 def split_region(
-    apart: NDArray[Any], own: NDArray[np.bool_], corner: tuple[int, int], sign: int, low: float, min_radius: float
+    apart: NDArray[Any], own: Flags, corner: tuple[int, int], sign: int, low: float, min_radius: float
 ) -> list[ContrastRegion]:
     """Split a region into parts that have half of its contrast.
 
@@ -106,12 +98,7 @@ def split_region(
 
 
 def _measure_part(
-    line: NDArray[Any],
-    mask: NDArray[np.uint8],
-    m: Mapping[str, float],
-    lit: tuple[NDArray[Any], NDArray[np.bool_]],
-    corner: tuple[int, int],
-    sign: int,
+    line: NDArray[Any], mask: NDArray[np.uint8], m: Mapping[str, float], lit: Lit, corner: tuple[int, int], sign: int
 ) -> ContrastRegion:
     """The part within an outline, by its mask, the moments of the mask, and the contrast at its pixels."""
     max_lean_ratio = 1.4  # long half axis over short one of a ball whose dark side does not show

@@ -1,7 +1,5 @@
 """Fits the centre of a disc by least squares over the pixels at its edge, with the shadow beside it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array, Ints
 from tracker.detection.background.still_background import StillBackground
 from tracker.detection.glints import SHADED_POSITION_ERROR_RADII
 from tracker.detection.outlines.contrast_regions import MIN_BLUR_PX
-from tracker.detection.outlines.quick_median import quick_median
 
 EDGE_PX = 3.0  # on either side of the outline: the pixels that determine the position
 Picture = NDArray[np.floating[Any]]
@@ -161,12 +158,12 @@ def _fit_from(scene: DiscScene, start: Array) -> DiscFit | None:
     return DiscFit(position=now[:2], cov=cov[:2, :2], fixed=fixed[:2, :2], radius=float(now[2]), spread=spread)
 
 
-def _add_up(effects: NDArray[np.float64], group: NDArray[np.int64]) -> NDArray[np.float64]:
+def _add_up(effects: Array, group: Ints) -> Array:
     """Effects (parameters, n) of the pixels' errors, added up over groups of pixels (n,)."""
     return np.stack([np.bincount(group, line) for line in effects])
 
 
-def _texture_cells(x: Array, y: Array, ground: StillBackground) -> NDArray[np.int64]:
+def _texture_cells(x: Array, y: Array, ground: StillBackground) -> Ints:
     """The cell of 4 x 4 px of each pixel (n,) where the ground was never seen; elsewhere a pixel is its own."""
     column, row = x.astype(int), y.astype(int)
     width = column.max() + 1
@@ -175,7 +172,7 @@ def _texture_cells(x: Array, y: Array, ground: StillBackground) -> NDArray[np.in
     return np.unique(cell, return_inverse=True)[1]
 
 
-def _brightness_terms(dx: Array, dy: Array, look: DiscAppearance) -> NDArray[np.float64]:
+def _brightness_terms(dx: Array, dy: Array, look: DiscAppearance) -> Array:
     """Terms (terms, n) of a ball's brightness at offsets from its middle: uniform, and a sphere's under a lamp."""
     if not look.shaded:
         return np.ones((1, len(dx)))
@@ -244,9 +241,7 @@ def _bin(dx: Array, dy: Array, bins: int) -> Array:
     return np.asarray(np.arctan2(dy, dx) % (2 * np.pi) / (2 * np.pi) * bins)
 
 
-def _model(
-    x: Array, y: Array, level: Array, now: Array, terms: NDArray[np.float64]
-) -> tuple[Array, NDArray[np.float64]]:
+def _model(x: Array, y: Array, level: Array, now: Array, terms: Array) -> tuple[Array, Array]:
     """Share of each pixel (n,) that the disc covers, and the slopes (parameters, n) of its counts."""
     count = len(terms)
     swept = len(now) - count > 4
@@ -267,3 +262,12 @@ def _model(
     cover, slopes = cover / points, slopes * (now[-count:] @ terms - level) / points
     slopes[-count:] = cover * terms
     return cover, slopes
+
+
+def quick_median(values: NDArray[np.floating]) -> float:
+    """The median of values (n,) without NaN: that of numpy.median, for a few hundred in a third of its time."""
+    half = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, half)[half])
+    low, high = np.partition(values, (half - 1, half))[half - 1 : half + 1]
+    return float((low + high) / 2)

@@ -1,27 +1,21 @@
 """Fits a circle of known radius to the outline of a disc that is partly hidden."""
 
-from __future__ import annotations
-
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.camera.lens import Array
-from tracker.detection.outlines.quick_median import quick_median
+from synthcam_shared.arrays import Array
+from tracker.detection.outlines.disc_fit import quick_median
 
 Picture = NDArray[np.floating[Any]]
+Point: TypeAlias = tuple[float, float]
 _ONES = np.eye(2)
 
 
 def fit_outline_circle(
-    frame: Picture,
-    level: Picture,
-    at: tuple[float, float],
-    radius: float,
-    others: list[tuple[float, float]],
-    low: float,
+    frame: Picture, level: Picture, at: Point, radius: float, others: list[Point], low: float
 ) -> Array | None:
     """Fit a circle to the outline of a hidden disc, which is where rays from the middle cross half the contrast.
 

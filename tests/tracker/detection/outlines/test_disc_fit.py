@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.detection.outlines.quick_median import quick_median
+from tracker.detection.outlines.disc_fit import quick_median
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 400, 401])
