@@ -239,15 +239,9 @@ def _check(points: PlatePoints, size: tuple[int, int]) -> None:
             f"{where}: the points lie on a line, or all but one do; expected four corners, as of a rectangle"
         )
     homography = np.asarray(cv2.findHomography(points.metres, points.pixels)[0], np.float64)
-    turned = np.linalg.det([_differentiate(homography, place) for place in points.metres])
+    # the determinant of the derivative of pixels by places
+    turned = np.linalg.det(homography) / (points.metres @ homography[2, :2] + homography[2, 2]) ** 3
     if (turned > 0).all():
         raise InputError(f"{where}: x, y are mirrored: seen from above y grows upwards where x grows to the right")
     if (turned > 0).any():
         raise InputError(f"{where}: no camera sees the points so; are some of them exchanged?")
-
-
-def _differentiate(homography: Array, place: Array) -> Array:
-    """Derivative of pixels by places."""
-    x, y, w = homography @ np.array([*place, 1.0])
-    return np.array([homography[0, :2] / w - x * homography[2, :2] / w**2,
-                     homography[1, :2] / w - y * homography[2, :2] / w**2])  # fmt: skip

@@ -165,7 +165,7 @@ class Frames(Sequence[Any]):
 def make_grey_frames(
     path: Path | str, count: int, plane: tuple[int, ...], dtype: Any, fetch: Callable[[int], Any]
 ) -> Frames:
-    """Frames in grey; those of pictures in colour have ``colours`` as well. Raises InputError for what are none."""
+    """Frames in grey; those of pictures in colour have ``colours`` too. Raises InputError for other types and sizes."""
     check_pixel_type(path, np.dtype(dtype))
     check_frame_size(path, plane)
     if len(plane) == 2:

@@ -59,14 +59,11 @@ def find_columns(names: Iterable[str], wanted: Iterable[str]) -> tuple[dict[str,
 
 def read_named_columns(rows: pd.DataFrame, where: str) -> TrackTable | None:
     """A table whose columns have known names, or t (s) if frame is missing; None where some are missing."""
-    columns, unit = find_columns(rows.columns, REQUIRED_COLUMNS)
+    (columns, unit), (times, _) = (find_columns(rows.columns, names) for names in (REQUIRED_COLUMNS, ["t"]))
     fps = math.nan
-    if set(REQUIRED_COLUMNS) - set(columns) == {"frame"}:
-        times, _ = find_columns(rows.columns, ["t"])
-        if times:
-            given = to_numbers(rows[times["t"]], times["t"], where)
-            frame, time, fps = frames_from_times(given, where)
-            rows, columns = rows.assign(frame=frame, t_s=time), columns | {"frame": "frame"}
+    if times and set(REQUIRED_COLUMNS) - set(columns) == {"frame"}:
+        frame, time, fps = frames_from_times(to_numbers(rows[times["t"]], times["t"], where), where)
+        rows, columns = rows.assign(frame=frame, t_s=time), columns | {"frame": "frame"}
     if not set(REQUIRED_COLUMNS) <= set(columns):
         return None
     rows = rows.rename(columns={own: name for name, own in columns.items()})
