@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
@@ -59,23 +58,12 @@ class Flag(StrEnum):
         return self in (Flag.R_UNDER_0, Flag.R_OVER_1, Flag.C_UNDER_0, Flag.C_OVER_5_7)
 
 
-@dataclass(frozen=True)
-class ValueRange:
-    """The values that a quantity may have, with the flags of those outside."""
-
-    quantity: str
-    low: float
-    low_flag: Flag
-    high: float
-    high_flag: Flag
-
-
-VALUE_RANGES = (
-    ValueRange("r", 0.0, Flag.R_UNDER_0, 1.0, Flag.R_OVER_1),
-    ValueRange("C", 0.0, Flag.C_UNDER_0, 5 / 7, Flag.C_OVER_5_7),  # 5/7: surfaces that spring back without loss
-    ValueRange("mu_k", 0.0, Flag.MU_K_UNDER_0, 1.5, Flag.MU_K_OVER_1_5),
-    ValueRange("v0", 0.0, Flag.V0_UNDER_0, 20.0, Flag.V0_OVER_20),  # m/s
-)
+VALUE_RANGES = {  # least and largest value of a quantity, with the flags of those beyond
+    "r": (0.0, Flag.R_UNDER_0, 1.0, Flag.R_OVER_1),
+    "C": (0.0, Flag.C_UNDER_0, 5 / 7, Flag.C_OVER_5_7),  # 5/7: surfaces that spring back without loss
+    "mu_k": (0.0, Flag.MU_K_UNDER_0, 1.5, Flag.MU_K_OVER_1_5),
+    "v0": (0.0, Flag.V0_UNDER_0, 20.0, Flag.V0_OVER_20),  # m/s
+}
 
 
 def compute_p_value(square: float, dof: float, noise_dof: float) -> float:
@@ -103,22 +91,13 @@ def compute_p_value_of_free_fits(rows: list[dict[str, Any]], size: ScatterRatio,
     return compute_p_value(float(square) / ratio, float(dof), size.dof)
 
 
-class Chi2(Protocol):
-    """A fit by its chi^2 and degrees of freedom."""
+def compute_p_of_rise(rise: float, more: int, noise_dof: float) -> float:
+    """Compute the p-value of the rise of chi^2 from the free fit of positions to the tied one.
 
-    @property
-    def chi2(self) -> float: ...
-    @property
-    def dof(self) -> int: ...
-
-
-def compare_fits(tied: Chi2, free: Chi2, noise_dof: float) -> float:
-    """Compute the p-value of the rise of chi^2 from the free fit to the tied one.
-
-    Both are fits of the same positions; `noise_dof` as in `compute_p_value`. NaN where the tied fit has no more degrees
-    of freedom than the free one.
+    more: degrees of freedom of the tied fit beyond those of the free one; NaN where it has no more. noise_dof: as in
+    `compute_p_value`.
     """
-    more, rise = tied.dof - free.dof, max(tied.chi2 - free.chi2, 0.0)
+    rise = max(rise, 0.0)
     if not more > 0 or not noise_dof > 0:
         return np.nan
     return float(chdtrc(more, rise) if np.isinf(noise_dof) else fdtrc(more, noise_dof, rise / more))
@@ -130,14 +109,11 @@ def find_impossible_values(values: DerivedValues, stretch: float, errors: float)
     A value must lie outside its range by `errors` standard errors times `stretch`, the factor by which the fit's
     standard errors are too small.
     """
-    flags = []
-    for limits in VALUE_RANGES:
-        index = QUANTITY_NAMES.index(limits.quantity)
+    flags = list[Flag]()
+    for name, (low, low_flag, high, high_flag) in VALUE_RANGES.items():
+        index = QUANTITY_NAMES.index(name)
         value, margin = values.value[index], errors * stretch * values.std[index]
-        if value - margin > limits.high:
-            flags.append(limits.high_flag)
-        elif value + margin < limits.low:
-            flags.append(limits.low_flag)
+        flags += [high_flag] if value - margin > high else [low_flag] if value + margin < low else []
     return flags
 
 

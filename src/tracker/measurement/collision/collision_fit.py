@@ -13,7 +13,7 @@ from tracker.measurement.collision.adequacy import (
     HIDDEN_SLIDE,
     SHORT_SLIDE,
     Flag,
-    compare_fits,
+    compute_p_of_rise,
     compute_p_value,
     find_impossible_values,
 )
@@ -98,7 +98,7 @@ class CollisionFits:
     @cached_property
     def p_agree(self) -> float:
         """p-value of what the tied fit's chi^2 has beyond the free one's."""
-        return compare_fits(self.tied, self.free, self.noise_dof)
+        return compute_p_of_rise(self.tied.chi2 - self.free.chi2, self.tied.dof - self.free.dof, self.noise_dof)
 
     @cached_property
     def p_motion(self) -> float:

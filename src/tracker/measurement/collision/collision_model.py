@@ -154,27 +154,10 @@ def mean_positions(
 ) -> tuple[Array, Array]:
     """Compute the positions that the collision model predicts, averaged over exposures, and their derivatives.
 
-    An exposure that holds the impact or the end of a slide needs no care.
+    An exposure that holds the impact or the end of a slide needs no care. free (22,): in the order of FREE. ball: 1
+    (struck) or 2 (striker), one or (n,). start (n,): of the exposures, s. exposure: s; 0 for instants. diameter: m.
 
-    Parameters
-    ----------
-    free : (22,) array
-        In the order of FREE.
-    ball : int or (n,) array
-        1 (struck) or 2 (striker).
-    start : (n,) array
-        Of the exposures, s.
-    exposure : float
-        s; 0 for instants.
-    diameter : float
-        m.
-
-    Returns
-    -------
-    (n, 2) array
-        Positions, m.
-    (n, 2, 22) array
-        Their derivatives by `free`.
+    Returns positions (n, 2), m, and their derivatives (n, 2, 22) by `free`.
     """
     if exposure < SHORTEST_EXPOSURE:
         start = start - SHORTEST_EXPOSURE / 2
@@ -313,17 +296,8 @@ def tied_to_free(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.ine
     - Slip ends after tau = |u| / (3.5 mu g) at v_f = v - 2u/7. The reason is that a force there conserves (5v + 2R w x
       z)/7.
 
-    Parameters
-    ----------
-    tied : (..., 16) array
-        In the order of TIED; complex too, for derivatives by complex steps.
-    spin : float
-        R times the sum of both balls' spins about the vertical, m/s, which an earlier oblique hit leaves.
-
-    Returns
-    -------
-    (..., 22) array
-        In the order of FREE.
+    tied (..., 16): in the order of TIED; complex too, for derivatives by complex steps. spin: R times the sum of both
+    balls' spins about the vertical, m/s, which an earlier oblique hit leaves. Returns (..., 22) in the order of FREE.
     """
     heading, beta, v0, target = tied[..., 3], tied[..., 4], tied[..., 5], tied[..., -2:]
     r, mu, c = tied[..., 8, None], np.exp(tied[..., 9]), tied[..., 10, None]

@@ -15,9 +15,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc
+from scipy.special import chdtrc
 
 from synthcam_shared.arrays import Array, Ints
+from tracker.measurement.collision.adequacy import compute_p_of_rise
 from tracker.measurement.collision.collision_model import AFTER, FREE, SLIP_RATE, tied_to_free
 from tracker.measurement.collision.derived import (
     QUANTITY_NAMES,
@@ -315,11 +316,7 @@ def find_p_of_motion(free: CollisionFit, noise_dof: float) -> float:
     left = others - known @ (known.T @ others)
     basis, values, _ = np.linalg.svd(left, full_matrices=False)
     basis = basis[:, values > 1e-3]  # of a displacement, that the parameters of the fit leave
-    count = basis.shape[1]
-    if not count or not noise_dof > 0:
-        return np.nan
-    gain = float(((residual @ basis) ** 2).sum())
-    return float(chdtrc(count, gain) if np.isinf(noise_dof) else fdtrc(count, noise_dof, gain / count))
+    return compute_p_of_rise(float(((residual @ basis) ** 2).sum()), basis.shape[1], noise_dof)
 
 
 def _displace_by_other_laws(free: Array, ball: Ints, since: Array) -> Array:

@@ -80,16 +80,12 @@ def make_ball_average(cov: Array) -> Array:
 
     The first 22 rows of `cov` are those of `derive_from_each_ball`; further ones are kept.
     """
-    merge, row = np.zeros((len(cov) - 2, len(cov))), 0
-    for column in range(len(cov)):
-        if column - 1 in ONCE_FROM_EACH_BALL.values():
-            continue
-        if column in ONCE_FROM_EACH_BALL.values():
-            pair = slice(column, column + 2)
-            merge[row, pair] = _weights(cov[pair, pair])
-        else:
-            merge[row, column] = 1.0
-        row += 1
+    merge = np.delete(np.eye(len(cov)), [column + 1 for column in ONCE_FROM_EACH_BALL.values()], axis=0)
+    for k, column in enumerate(ONCE_FROM_EACH_BALL.values()):
+        own = cov[column : column + 2, column : column + 2]
+        with np.errstate(invalid="ignore", divide="ignore"):  # NaN where neither is known
+            first = (own[1, 1] - own[0, 1]) / np.float64(_of_difference(own))
+        merge[column - k, column : column + 2] = first, 1 - first
     return merge
 
 
@@ -121,13 +117,6 @@ def _with_slope(function, at: Array, cov: Array) -> tuple[Array, Array]:  # type
         slope = (high - low) / (2 * size[:, None])
     slope[size == 0] = 0.0  # held
     return function(at), slope.T
-
-
-def _weights(cov: Array) -> Array:
-    """Weights (2,), summing to one, of the best mean of two measurements of one thing."""
-    with np.errstate(invalid="ignore", divide="ignore"):  # NaN where neither is known
-        first = (cov[1, 1] - cov[0, 1]) / np.float64(_of_difference(cov))
-    return np.array([first, 1 - first])
 
 
 def _of_difference(cov: Array) -> float:

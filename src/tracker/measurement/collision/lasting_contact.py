@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from synthcam_shared.arrays import Array, Flags, Ints
-from tracker.measurement.collision.adequacy import TOO_FEW, compare_fits, compute_p_value, find_impossible_values
+from tracker.measurement.collision.adequacy import TOO_FEW, compute_p_of_rise, compute_p_value, find_impossible_values
 from tracker.measurement.collision.collision_model import (
     AFTER,
     FREE,
@@ -387,7 +387,8 @@ def fit_lasting_contact(
     is_straight = kind == "straight"
     tied = fit if is_straight else LastingFit.to(outside, "tied", _tied_starts(fit))
     fits = [fit]
-    if not is_straight and not compare_fits(tied, fit, outside.striker.noise_dof) < level:
+    p_agree = compute_p_of_rise(tied.chi2 - fit.chi2, tied.dof - fit.dof, outside.striker.noise_dof)
+    if not is_straight and not p_agree < level:
         fits.append(tied)
     best = max(fits, key=_sigmas_within)
     lasting = None

@@ -67,19 +67,9 @@ class LocalEstimate:
         return np.sqrt(np.maximum(np.diag(self.cov), 0.0))
 
 
-def estimate_locally(
-    contact: Contact,
-    camera: Camera,
-    masses: tuple[float, float],
-    slide: tuple[float, float] | None = None,
-    striker: Sequence[MotionKind] = MAY_ROLL,
-) -> LocalEstimate | str:
-    """Estimate one collision from free motion near the contact, or give the reason why that is impossible.
-
-    masses: of ball 1 and ball 2, in any unit. slide: a prior of the duration of a slide, s, and the error of its
-    logarithm, if something shows it. striker: motions that ball 2 may have on a plate before the contact.
-    """
-    return run_alone(estimate_in_steps(contact, camera, masses, slide, striker))
+def estimate_locally(contact: Contact, camera: Camera, masses: tuple[float, float]) -> LocalEstimate | str:
+    """Estimate one collision as `estimate_in_steps` does, by itself."""
+    return run_alone(estimate_in_steps(contact, camera, masses))
 
 
 def estimate_in_steps(
@@ -89,7 +79,11 @@ def estimate_in_steps(
     slide: tuple[float, float] | None = None,
     striker: Sequence[MotionKind] = MAY_ROLL,
 ) -> FitInSteps[LocalEstimate | str]:
-    """Estimate one collision as `estimate_locally` does, in steps that `run_together` takes with those of others."""
+    """Estimate one collision from free motion near the contact, or give the reason why that is impossible.
+
+    masses: of ball 1 and ball 2, in any unit. slide: a prior of the duration of a slide, s, and the error of its
+    logarithm, if something shows it. striker: motions that ball 2 may have on a plate before the contact.
+    """
     rests = not contact.pair.target_moves
     glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
     lasts = contact.end > contact.start

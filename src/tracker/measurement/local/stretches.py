@@ -135,17 +135,13 @@ def _average(whole: Stretch, group: Ints) -> Stretch:
     if whole.fixed.any() and whole.width > 0:
         first = np.searchsorted(group, np.arange(len(count)))
         parts = (whole.position[k : k + n] for k, n in zip(first, count, strict=True))
-        shares = np.array([_share_that_lasts(part, whole.width) for part in parts])
+        apart = (((part[:, None] - part[None]) ** 2).sum(axis=-1) for part in parts)
+        # of the variance of an error that a pixel pattern makes, in the mean of neighbouring positions
+        shares = np.array([np.exp(-square / (4 * whole.width**2)).mean() for square in apart])
     fixed = (mean(whole.fixed) - lasting) * shares[:, None, None] + lasting
     own = mean(whole.cov - whole.fixed) / count[:, None, None]
     near = mean(whole.near.astype(np.float64)) > 0.5
     return replace(whole, time=time, position=position, cov=own + fixed, fixed=fixed, near=near)
-
-
-def _share_that_lasts(position: Array, width: float) -> float:
-    """Share of the variance of an error that a pixel pattern makes, in the mean of neighbouring positions (n, 2)."""
-    apart = ((position[:, None] - position[None]) ** 2).sum(axis=-1)
-    return float(np.exp(-apart / (4 * width**2)).mean())
 
 
 def _end_at_contact(track: BallTrack, rows: Ints, near: Flags, after: bool, frame_s: float) -> Ints:
