@@ -74,30 +74,12 @@ def measure_gas(
     area: Rectangle | None = None,
     settings: GasSettings | None = None,
 ) -> GasObservables:
-    """Measure the observables of a gas from the tracks of its balls and their contacts.
+    """Measure the observables of a gas from the tracks of its balls, in metres, and their contacts.
 
-    Parameters
-    ----------
-    balls : sequence of BallTrack
-        Tracks in metres.
-    contacts : DataFrame
-        Columns t_s, particle1, particle2 (-1 at a wall), energy_lost, energy_lost_std (m^2/s^2, NaN if unknown) and
-        misfit, as `Result.contacts` has them; t_s_std if it is known.
-    camera : GasCamera
-        Its errors count in all errors.
-    area : (left, bottom, right, top), optional
-        The rectangle that the centres can reach, m. Without it: the one that they reached.
-    settings : GasSettings, optional
-        How velocities and distributions are estimated.
-
-    Returns
-    -------
-    GasObservables
-
-    Raises
-    ------
-    InputError
-        No frame has three balls with a velocity.
+    contacts: columns t_s, particle1, particle2 (-1 at a wall), energy_lost, energy_lost_std (m^2/s^2, NaN if unknown)
+    and misfit, as `Result.contacts` has them; t_s_std if it is known. camera: its errors count in all errors. area:
+    left, bottom, right and top of the rectangle that the centres can reach, m; without it, the one that they reached.
+    Raises InputError if no frame has three balls with a velocity.
     """
     used = settings or GasSettings()
     # each column has its own type even where there are no contacts

@@ -25,21 +25,14 @@ ROWS_OF_SLIDE = 4  # before the end of the slide, from which its friction is fou
 class HalfVelocities:
     """Velocities at n instants, by the even and by the odd rows of a window about each; NaN where there is no window.
 
-    Attributes
-    ----------
-    even, odd : (n, 2) array
-        m/s, from either half of the rows. A window with few rows gives one velocity, which is both.
-    gain_even, gain_odd : (n,) array
-        1/s^2: variance of a component over that of a position.
-    gain_common : (n,) array
-        1/s^2: the part of both that is the same error; 0 where the halves are independent.
+    A window with few rows gives one velocity, which is both.
     """
 
-    even: Array
+    even: Array  # (n, 2) m/s
     odd: Array
-    gain_even: Array
+    gain_even: Array  # (n,) 1/s^2: variance of a component over that of a position
     gain_odd: Array
-    gain_common: Array
+    gain_common: Array  # the part of both that is the same error; 0 where the halves are independent
 
     @property
     def known(self) -> Flags:
@@ -158,32 +151,17 @@ def find_slide_end(time: Array, position: Array, noise: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FreePath:
-    """One ball between two of its contacts, or between a contact and the start or end of its track.
+    """One ball between two of its contacts, or between a contact and the start or end of its track."""
 
-    Attributes
-    ----------
-    ball : int
-        Number of the particle.
-    frame, time : (n,) array
-        Of its positions, s.
-    start, end : int
-        Ints of the table of contacts before and after it; -1 where the track starts or ends, or has a gap.
-    velocities : HalfVelocities
-        At the n positions, at its start, and at its end: n + 2 instants.
-    start_time, end_time : float
-        s, of its contacts, or of its first and last position.
-    unsure : (n,) array
-        m/s: how far velocities may be off because the slide after a contact is too short to be seen; 0 elsewhere.
-    """
-
-    ball: int
-    frame: Ints
-    time: Array
-    start: int
-    end: int
-    start_time: float
+    ball: int  # number of the particle
+    frame: Ints  # (n,), of its positions
+    time: Array  # (n,) s
+    start: int  # row of the table of contacts before it; -1 where the track starts, or has a gap
+    end: int  # and after it
+    start_time: float  # s, of its contacts, or of its first and last position
     end_time: float
-    velocities: HalfVelocities
+    velocities: HalfVelocities  # at the n positions, at its start, and at its end: n + 2 instants
+    # (n,) m/s: how far velocities may be off because the slide after a contact is too short to be seen; 0 elsewhere
     unsure: Array
 
 

@@ -272,21 +272,11 @@ def differentiate_by_camera(errors: Sequence[CameraError], function: Callable[[C
 def linear_response(residual: Array, rows: Array, cov: Array, by: Array) -> tuple[Array, Array, float]:
     """Compute how errors of the camera file, as disturbances of size 1, shift a least-squares fit to first order.
 
-    Parameters
-    ----------
-    residual, rows, cov : (m,), (m, p) and (p, p) array
-        At the minimum, with the derivatives by the parameters, and the parameters' covariance.
-    by : (m, k) array
-        Derivative of the residuals by the disturbances.
+    residual (m,), rows (m, p), cov (p, p): at the minimum, with the derivatives by the parameters, and the parameters'
+    covariance. by (m, k): derivative of the residuals by the disturbances.
 
-    Returns
-    -------
-    shift : (p, k) array
-        Derivative of the parameters by the disturbances.
-    left : (m, k) array
-        What the shifted parameters leave of the disturbances.
-    explained : float
-        Reduction of chi^2 when the disturbances are part of the covariance of the residuals.
+    Returns the derivative (p, k) of the parameters by the disturbances; what the shifted parameters leave (m, k) of
+    these; and the reduction of chi^2 when the disturbances are part of the covariance of the residuals.
     """
     shift = -cov @ rows.T @ by
     left = by + rows @ shift

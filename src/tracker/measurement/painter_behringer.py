@@ -179,18 +179,10 @@ def _read(sample: Array, taus: Array, diameter: float, fps: float, moving: bool)
 def make_motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.DataFrame:
     """Velocity, energy and momentum of each ball frame by frame, per unit mass.
 
-    Parameters
-    ----------
-    tracks, camera
-    row : mapping
-        A row of `measure`: the collision whose directions of slip count.
-
-    Returns
-    -------
-    DataFrame
-        t_s; particle; vx, vy (m/s): differences between the neighbouring frames; energy (m^2/s^2): v^2/2 less what
-        noise adds to it, which may fall below zero at rest; p_along, p_across (m/s): along the ball's own direction of
-        slip after the collision and across it (z x that), the paper's x and y; NaN for a ball that took no part in it.
+    row: one of `measure`, the collision whose directions of slip count. The columns are t_s; particle; vx, vy (m/s):
+    differences between the neighbouring frames; energy (m^2/s^2): v^2/2 less what noise adds to it, which may fall
+    below zero at rest; p_along, p_across (m/s): along the ball's own direction of slip after the collision and across
+    it (z x that), the paper's x and y; NaN for a ball that took no part in it.
     """
     slips = slip_directions(row)
     balls = [c for c in to_ball_tracks(tracks, camera) if len(c) >= 2] if camera.metric else []

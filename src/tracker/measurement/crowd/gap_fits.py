@@ -170,32 +170,18 @@ def _fit_paths(
 
 
 class ContactGaps(NamedTuple):
-    """Gaps between two frames in which balls may touch, with the positions about them.
+    """Gaps between two frames in which balls may touch, with the positions about them."""
 
-    Attributes
-    ----------
-    candidate : (m,) array
-        Number of the contact that may lie in the gap.
-    time, position, variance : (m, balls, n), (m, balls, n, 2) and (m, balls) array
-        Of the positions, s after `zero`, m and m^2.
-    before, after : (m, balls, n) array
-        Which of them lie on either side of the gap; the others only fill the array.
-    zero, low, high : (m,) array
-        The middle of a gap, s; its ends, s after that.
-    slides : Slides
-        (m, balls) of earlier contacts, which may last into the positions.
-    """
-
-    candidate: Ints
-    time: Array
-    position: Array
-    variance: Array
-    before: Flags
+    candidate: Ints  # (m,) number of the contact that may lie in the gap
+    time: Array  # (m, balls, n) s after `zero`
+    position: Array  # (m, balls, n, 2) m
+    variance: Array  # (m, balls) m^2
+    before: Flags  # (m, balls, n) which positions lie on either side of the gap; the others only fill the array
     after: Flags
-    zero: Array
-    low: Array
+    zero: Array  # (m,) s, the middle of a gap
+    low: Array  # (m,) its ends, s after that
     high: Array
-    slides: Slides
+    slides: Slides  # (m, balls) of earlier contacts, which may last into the positions
 
     def take(self, rows: Flags) -> ContactGaps:
         """Those gaps."""

@@ -37,39 +37,19 @@ MAX_SPIN_TRANSFER = 5 / 14  # of balls whose surfaces stick to one another
 
 @dataclass(frozen=True)
 class TrackContact:
-    """A contact of two balls, or of one with a wall.
+    """A contact of two balls, or of one with a wall."""
 
-    Attributes
-    ----------
-    time, time_std : float
-        Instant and its standard error, s.
-    one, other : int
-        Particles; `other` is NO_BALL for a wall.
-    xy : (2,) array
-        Where the surfaces touch, m; of a wall the centre of the ball.
-    normal : (2,) array
-        Unit vector along which ball `one` is pushed.
-    kick, kick_std : float
-        Change of the velocity of `one` along `normal`, m/s; of two balls half the change of their relative velocity.
-    gain : float
-        chi^2 by which the contact fits better than none.
-    confidence : float
-        A score from 0 to 1 that grows with `gain`; it is no calibrated probability.
-    slips : (balls, 2) array
-        Velocities of the lowest points just after, m/s, against which balls slide; NaN if unknown, 0 if they glide.
-    """
-
-    time: float
+    time: float  # s
     time_std: float
-    one: int
-    other: int
-    xy: Array
-    normal: Array
-    kick: float
+    one: int  # particle
+    other: int  # the second particle; NO_BALL for a wall
+    xy: Array  # (2,) m, where the surfaces touch; of a wall the centre of the ball
+    normal: Array  # (2,) unit vector along which ball `one` is pushed
+    kick: float  # m/s, change of the velocity of `one` along it; of two balls half that of their relative velocity
     kick_std: float
-    gain: float
-    confidence: float
-    slips: Array
+    gain: float  # chi^2 by which the contact fits better than none
+    confidence: float  # a score from 0 to 1 that grows with `gain`; it is no calibrated probability
+    slips: Array  # (balls, 2) m/s, of the lowest points just after, against which balls slide; NaN if unknown, 0 on air
 
     @property
     def balls(self) -> tuple[int, ...]:
