@@ -102,7 +102,11 @@ def run(
             progress(clips - len(todo), clips)
         # An edit that fits no track ends the run before the clips without edits are tracked.
         todo = sorted(todo, key=lambda i: not edited.of_clip(films.clips[i][0]))
-        sent = _resolve_paths(films) if scheduler else films
+        sent = films
+        if scheduler:  # whose workers run in another folder
+            clip_paths = tuple((number, path.resolve()) for number, path in films.clips)
+            camera = films.camera.resolve() if films.camera is not None else None
+            sent = replace(films, path=films.path.resolve(), clips=clip_paths, camera=camera)
         job = functools.partial(_track_clip, sent, partial=partial, name=detector, selected=selected)
         work = functools.partial(job, settings=chosen, edits=edited, opened=opened)
         for done, (more, new) in enumerate(run_all_jobs(work, todo, workers, films.path, scheduler), 1):
@@ -111,7 +115,7 @@ def run(
             if opened is None:
                 progress(clips - len(todo) + done, clips)
 
-    plan = _plan(films, detector, selected) | _note_edits(edited)
+    plan = _plan(films, detector, selected) | (edited.to_keys() if edited.edits else {})
     table, fresh = _fill_results(output, plan, chosen, [number for number, _ in films.clips], track)
     return ClipOutcome(table, clips, fresh, frames, dict(notes), films)
 
@@ -157,7 +161,7 @@ def measure_tables(
                 notes[drawn.note] = notes.get(drawn.note, 0) + 1
             results.write_clip_results(partial, number, result.found, result.motion, result.rows, own, pictures)
 
-    plan = {"made_by": "tracker measure", "input": digest} | _note_edits(edited)
+    plan = {"made_by": "tracker measure", "input": digest} | (edited.to_keys() if edited.edits else {})
     table, fresh = _fill_results(output.resolve(), plan, chosen, numbers, measure)
     return ClipOutcome(table, len(numbers), fresh, 0, notes)
 
@@ -190,10 +194,6 @@ def _fill_results(
 
 def _edits_of(edits: list[Any], number: int) -> list[Any]:
     return [edit for edit in edits if isinstance(edit, dict) and edit.get("clip") in (None, number)]
-
-
-def _note_edits(edits: TrackEdits) -> dict[str, Any]:
-    return edits.to_keys() if edits.edits else {}
 
 
 def _same_or_refuse(folder: Path, plan: dict[str, Any], done: Sequence[int] | None = None) -> None:
@@ -276,10 +276,3 @@ def _draw_misfit(result: Result, clips: int, frames: Frames | None = None) -> No
         return drawn
     text = f"{MISFITS} beside the tracks of a misfit shows them with its residuals"
     return replace(drawn, note=replace(drawn.note, text=text))
-
-
-def _resolve_paths(source: RecordingSource) -> RecordingSource:
-    """The same source with absolute paths, for workers that run in another folder."""
-    clips = tuple((number, path.resolve()) for number, path in source.clips)
-    camera = source.camera.resolve() if source.camera is not None else None
-    return replace(source, path=source.path.resolve(), clips=clips, camera=camera)

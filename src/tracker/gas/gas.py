@@ -21,7 +21,7 @@ from tracker.gas.temperature import (
     measure_temperatures,
     tabulate_velocities,
 )
-from tracker.gas.velocities import FreePath, PathCuts, cut_free_paths, extrapolate_to_contact
+from tracker.gas.velocities import PathCuts, cut_free_paths, extrapolate_to_contact
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import measure_path_noise as measure_scatter_of_paths
 
@@ -85,9 +85,12 @@ def measure_gas(
     # each column has its own type even where there are no contacts
     kinds = dict.fromkeys(("t_s", "energy_lost", "energy_lost_std"), float) | {"particle1": int, "particle2": int}
     contacts = contacts.astype(kinds | {"misfit": bool}).sort_values("t_s", kind="stable").reset_index(drop=True)
+    margins = np.full(len(contacts), np.inf)  # half an exposure, and twice the error of the time of a contact
+    if "t_s_std" in contacts:
+        margins = max(ball.exposure for ball in balls) / 2 + 2 * contacts["t_s_std"].to_numpy(dtype=np.float64)
     cuts = PathCuts(
         window_rows=used.window_rows,
-        margins_s=_find_margins(contacts, balls, used.margin_frames / camera.fps),
+        margins_s=np.fmin(margins, used.margin_frames / camera.fps),
         max_gap_s=(used.max_gap_frames + 0.5) / camera.fps,
         noise=measure_scatter_of_paths([(ball.frame, ball.position) for ball in balls]),
         slides=not camera.on_air,
@@ -98,7 +101,11 @@ def measure_gas(
     claimed = float(np.sqrt(np.median(np.concatenate(variances))))
     noise = measure_noise(table) if len(table) else np.nan
     noise = noise if np.isfinite(noise) else claimed  # all free paths are short
-    time = _measure_time(paths, table, contacts, noise, camera.fps)
+    time = measure_temperatures(table, noise) if len(table) else table
+    if not len(time):
+        raise InputError(f"a gas has {MIN_BALLS} balls or more in view; no frame here has so many with a velocity")
+    time.insert(1, "t_s", time["frame"] / camera.fps)
+    time = time.join(measure_losses(paths, contacts, time["frame"].to_numpy(), noise, 1 / camera.fps))
     positions, frames = np.concatenate([b.position for b in balls]), np.concatenate([b.frame for b in balls])
     left, bottom, right, top = area or map(float, (*positions.min(axis=0), *positions.max(axis=0)))
     sides = right - left, top - bottom
@@ -106,8 +113,7 @@ def measure_gas(
     by_frame = np.split(positions[order], np.unique(frames[order], return_index=True)[1][1:])
     a2, a2_std = measure_sonine(table, time, noise)
     values = {"position_noise": noise, "noise_ratio": noise / claimed, "sonine_a2": a2, "sonine_a2_std": a2_std}
-    values |= _measure_rates(balls, contacts)
-    values |= _predict_rates(time, sides, camera)
+    values |= _measure_rates(balls, contacts) | _predict_rates(time, sides, camera)
     time, values = _add_camera_errors(time, values, camera)
     return GasObservables(
         time=time,
@@ -119,17 +125,6 @@ def measure_gas(
     )
 
 
-def _measure_time(
-    paths: Sequence[FreePath], table: pd.DataFrame, contacts: pd.DataFrame, noise: float, fps: float
-) -> pd.DataFrame:
-    """Temperature, mean velocity, energy and losses of each frame; raises InputError if no frame has enough balls."""
-    time = measure_temperatures(table, noise) if len(table) else table
-    if not len(time):
-        raise InputError(f"a gas has {MIN_BALLS} balls or more in view; no frame here has so many with a velocity")
-    time.insert(1, "t_s", time["frame"] / fps)
-    return time.join(measure_losses(paths, contacts, time["frame"].to_numpy(), noise, 1 / fps))
-
-
 def _add_camera_errors(
     time: pd.DataFrame, values: dict[str, float], camera: GasCamera
 ) -> tuple[pd.DataFrame, dict[str, float]]:
@@ -139,14 +134,6 @@ def _add_camera_errors(
     time = time.assign(**{f"{k}_std": np.hypot(time[f"{k}_std"], of_energy * time[k]) for k in energies})
     errors = {"free_path": camera.scale_error, "contact_rate": camera.fps_error}
     return time, values | {f"{k}_std": float(np.hypot(values[f"{k}_std"], e * values[k])) for k, e in errors.items()}
-
-
-def _find_margins(contacts: pd.DataFrame, balls: Sequence[BallTrack], most: float) -> Array:
-    """How near to each contact positions do not count, s: half an exposure and twice the error of its time."""
-    if "t_s_std" not in contacts:
-        return np.full(len(contacts), most)
-    margin = max(ball.exposure for ball in balls) / 2 + 2 * contacts["t_s_std"].to_numpy(dtype=np.float64)
-    return np.fmin(margin, most)
 
 
 def _measure_rates(balls: Sequence[BallTrack], contacts: pd.DataFrame) -> dict[str, float]:

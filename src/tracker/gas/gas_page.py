@@ -10,7 +10,7 @@ import numpy as np
 
 from synthcam_shared.outputs import replace_folder, write_atomically
 from synthcam_shared.report.numbers import format_number, format_with_error
-from synthcam_shared.report.page import Block, PageFigure, PageList, PageSection, PageTable, make_axes, write_page
+from synthcam_shared.report.page import PageFigure, PageList, PageSection, PageTable, make_axes, write_page
 from tracker.gas.energy import SINKS
 from tracker.gas.gas import GasObservables
 from tracker.gas.kinetic_theory import contact_pair_correlation
@@ -47,10 +47,15 @@ METHOD = (
 
 def write_gas(gas: GasObservables, folder: Path, command: str) -> Path:
     """Write gas.json, the tables and index.html into a folder, which replaces an earlier gas; return the page."""
+    last, rows = gas.time.iloc[-1] * 1e3, []
+    for name, share in _shares(gas).items():
+        value, std = (last[f"{SINKS[name]}{end}"] for end in ("", "_std"))
+        rows.append([WORDS[name], format_with_error(value, std), f"{100 * share:.1f}"])
+    lost = PageTable(["lost to", "10⁻³ m²/s², all balls", "%"], rows, "Until the last frame, per unit mass")
     sections = [
         PageSection("", [_values_table(gas)]),
         PageSection("Temperature", [PageFigure.of(draw_temperature(gas), "Temperature against time")]),
-        PageSection("Energy", [PageFigure.of(draw_energy_sinks(gas), "Energy lost against time"), *_energy_text(gas)]),
+        PageSection("Energy", [PageFigure.of(draw_energy_sinks(gas), "Energy lost against time"), lost]),
         PageSection(
             "Velocities and order",
             [PageFigure.of(draw_velocities_and_pair_correlation(gas), "Velocities and pair correlation")],
@@ -103,14 +108,6 @@ def _values_table(gas: GasObservables) -> PageTable:
         "tracks claim. 0.9027(12) means 0.9027 ± 0.0012, one standard error."
     )
     return PageTable(["quantity", "unit", "measured", "hard discs"], rows, "", note)
-
-
-def _energy_text(gas: GasObservables) -> list[Block]:
-    last, rows = gas.time.iloc[-1] * 1e3, []
-    for name, share in _shares(gas).items():
-        value, std = (last[f"{SINKS[name]}{end}"] for end in ("", "_std"))
-        rows.append([WORDS[name], format_with_error(value, std), f"{100 * share:.1f}"])
-    return [PageTable(["lost to", "10⁻³ m²/s², all balls", "%"], rows, "Until the last frame, per unit mass")]
 
 
 def draw_temperature(gas: GasObservables) -> Figure:

@@ -28,9 +28,13 @@ def pair_correlation(
     largest and least distance.
     """
     edges = np.linspace(least, min(reach, *size), bins + 1)
-    found = np.array([_count_pairs(xy, edges) for xy in positions], dtype=np.float64).reshape(-1, bins)
+    near = (cKDTree(xy).query_pairs(edges[-1], output_type="ndarray") for xy in positions)
+    apart = [np.hypot(*(xy[rows[:, 0]] - xy[rows[:, 1]]).T) for xy, rows in zip(positions, near, strict=True)]
+    found = np.array([np.histogram(each, edges)[0] for each in apart], dtype=np.float64).reshape(-1, bins)
     pairs = np.array([len(xy) * (len(xy) - 1) / 2 for xy in positions])
-    expected = np.diff(_share_within(edges, *size)) * pairs[:, None]
+    a, b = size
+    within = (np.pi * edges**2 * a * b - 4 * (a + b) * edges**3 / 3 + edges**4 / 2) / (a * b) ** 2  # share of all pairs
+    expected = np.diff(within) * pairs[:, None]
     blocks = [rows for rows in np.array_split(np.arange(len(positions)), TIME_BLOCKS) if pairs[rows].sum() > 0]
     middle = (edges[1:] + edges[:-1]) / 2
     if not blocks:
@@ -38,14 +42,3 @@ def pair_correlation(
     ratio = np.array([found[rows].sum(axis=0) / expected[rows].sum(axis=0) for rows in blocks])
     scatter = ratio.std(axis=0, ddof=1) / np.sqrt(len(blocks)) if len(blocks) > 1 else np.full(bins, np.nan)
     return pd.DataFrame({"r": middle, "g": found.sum(axis=0) / expected.sum(axis=0), "g_std": scatter})
-
-
-def _count_pairs(xy: Array, edges: Array) -> Array:
-    """Count the pairs of points whose distance lies between each two edges."""
-    near = cKDTree(xy).query_pairs(edges[-1], output_type="ndarray")
-    return np.histogram(np.hypot(*(xy[near[:, 0]] - xy[near[:, 1]]).T), edges)[0].astype(np.float64)
-
-
-def _share_within(r: Array, a: float, b: float) -> Array:
-    """Share of the pairs of independent points in a rectangle whose distance is at most r, r up to the shorter side."""
-    return (np.pi * r**2 * a * b - 4 * (a + b) * r**3 / 3 + r**4 / 2) / (a * b) ** 2

@@ -212,7 +212,11 @@ def _measure_collisions(
     every = sorted([*every, *((stay.first, stay) for stay in stays)], key=lambda event: event[0])
     for i, (_, event) in enumerate(every):
         if isinstance(event, StayingPair):
-            row = make_empty_row(camera, TOGETHER, i) | _stay_columns(event) | noise
+            row = make_empty_row(camera, TOGETHER, i) | _name_balls(event.struck, event.striker) | noise
+            row |= {"v0": event.speed, "v0_std": event.speed_std, "b": event.offset, "b_std": event.offset_std}
+            row |= {"r": 0.0, "r_std": event.r_std, "r_free": 0.0, "r_free_std": event.r_std}
+            row |= {"flags": str(Flag.TOGETHER), "contact_first": event.first, "contact_last": event.last}
+            row |= {"t_c": event.time}
             rows.append(row | recommend(row))
             earlier |= dict.fromkeys((event.struck.particle, event.striker.particle), EarlierHit(np.inf))
             continue
@@ -232,14 +236,6 @@ def _is_within(candidate: ContactCandidate, stay: StayingPair) -> bool:
     """Test whether a contact is one of balls that stay together."""
     same = {candidate.one.particle, candidate.other.particle} == {stay.struck.particle, stay.striker.particle}
     return same and stay.first - 2 <= candidate.frame <= stay.last + 2
-
-
-def _stay_columns(stay: StayingPair) -> dict[str, Any]:
-    """The columns of two balls that stay together."""
-    row = _name_balls(stay.struck, stay.striker)
-    row |= {"v0": stay.speed, "v0_std": stay.speed_std, "b": stay.offset, "b_std": stay.offset_std}
-    row |= {"r": 0.0, "r_std": stay.r_std, "r_free": 0.0, "r_free_std": stay.r_std, "flags": str(Flag.TOGETHER)}
-    return row | {"t_c": stay.time, "contact_first": stay.first, "contact_last": stay.last}
 
 
 def _name_balls(struck: BallTrack, striker: BallTrack) -> dict[str, Any]:

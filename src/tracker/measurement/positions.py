@@ -118,12 +118,16 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
     start, width = taken + camera.line_time * xy[:, 1], (camera.sigma or default_glint_width_px) * camera.scale
     apart = np.hypot(tracks.x - tracks.glint_x, tracks.y - tracks.glint_y)[keep]  # NaN or 0 where no glint was seen
     shaded = np.array([PositionFlag.SHADED.word in words for words in tracks.flags[keep]], dtype=bool)
-    shadow_drift = SHADED_POSITION_ERROR_RADII * camera.ball_diameter / 2, camera.ball_diameter
+    shadow_m = SHADED_POSITION_ERROR_RADII * camera.ball_diameter / 2
     encoded = camera.sensor.codec_noise > 0
     found = []
     for ball in np.unique(particle):
         rows = np.flatnonzero(particle == ball)
         rows = rows[np.unique(frame[rows], return_index=True)[1]]  # in order; a frame given twice counts once
+        drift = (0.0, 0.0)
+        if shaded[rows].any():  # each position keeps a share of its variance: the ball may look smaller than it is
+            most = np.sqrt((1 - 1e-3) * float(np.linalg.eigvalsh(cov[rows])[:, 0].min()))
+            drift = min(shadow_m, float(most)), camera.ball_diameter
         found.append(
             BallTrack(
                 particle=int(ball),
@@ -134,7 +138,7 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
                 exposure=camera.exposure,
                 fixed=shared[rows],
                 width=width,
-                drift=_limit_drift(shadow_drift, cov[rows]) if shaded[rows].any() else (0.0, 0.0),
+                drift=drift,
                 has_errors=weighed,
                 noise_dof=np.inf if weighed else 0.0,
                 encoded=encoded,
@@ -150,12 +154,6 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
         return found
     own = warp.std**2 * np.eye(2)  # of an error that lasts while a ball moves on
     return [replace(b, cov=b.cov + own, fixed=b.fixed + own, warp=(warp.std, warp.length)) for b in found]
-
-
-def _limit_drift(drift: tuple[float, float], cov: Array) -> tuple[float, float]:
-    """A drift that leaves each position a share of its variance: the ball may look smaller than it is."""
-    least = float(np.linalg.eigvalsh(cov)[:, 0].min())
-    return min(drift[0], float(np.sqrt((1 - 1e-3) * least))), drift[1]
 
 
 def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]:

@@ -17,7 +17,7 @@ from tracker.measurement.collision.adequacy import (
     compute_p_value,
     find_impossible_values,
 )
-from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, tied_to_free
+from tracker.measurement.collision.collision_model import AFTER, FREE, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import Contact, ContactCandidate, EarlierHit, guess_parameters
 from tracker.measurement.collision.departures import (
     LawDeparture,
@@ -321,8 +321,12 @@ def _fit_both(contact: Contact, starts: list[Array], tied: CollisionFit | None =
     pair = contact.pair
     tied = tied or fit_motion(pair, True, starts)
     free, seen = _fit_free(pair, tied)
-    if tied.chi2 > free.chi2 + 50:  # the free fit has no impact to get wrong: let it lead
-        again = fit_motion(pair, True, [_free_to_tied(free, tied)])
+    if tied.chi2 > free.chi2 + 50:  # the free fit has no impact to get wrong: start at its launch, r, mu_k and C
+        r, mu, c = (derive_quantities(free).value[QUANTITY_NAMES.index(name)] for name in ("r", "mu_k", "C"))
+        start, launch, target = tied.parameters.copy(), slice(8), slice(-len(TARGET), None)
+        start[launch], start[target] = free.parameters[launch], free.parameters[target]
+        start[8:11] = np.clip(r, 0, 1), np.log(np.clip(mu, 1e-3, 10)), np.clip(c, -0.5, 1)
+        again = fit_motion(pair, True, [start])
         if again.chi2 < tied.chi2:
             tied = again
             free, seen = _fit_free(pair, tied)
@@ -397,11 +401,3 @@ def _without_slide_end(free: Array, ball: int, left: float) -> Array:
     out[at + 2 : at + 4] = free[at : at + 2] + (free[at + 2 : at + 4] - free[at : at + 2]) * longer / tau
     out[at + 4] = np.log(longer)
     return out
-
-
-def _free_to_tied(free: CollisionFit, tied: CollisionFit) -> Array:
-    """Tied parameters nearest to a free motion: its launch, the r, mu_k and C it implies, the spin of another fit."""
-    implied = dict(zip(QUANTITY_NAMES, derive_quantities(free).value, strict=True))
-    impact = [np.clip(implied["r"], 0, 1), np.log(np.clip(implied["mu_k"], 1e-3, 10)), np.clip(implied["C"], -0.5, 1)]
-    spin = tied.parameters[TIED.index(SPIN[0]) : -len(TARGET)]
-    return np.concatenate([free.parameters[:8], impact, spin, free.parameters[-len(TARGET) :]])

@@ -17,7 +17,6 @@ from tracker.measurement.collision.collision_model import FREE
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter, share_seen_by_scatter
 from tracker.measurement.noise.whitening import compute_innovations
-from tracker.measurement.positions import BallTrack
 
 MIN_CORRELATION_SIGMA = 3.0  # standard errors of the correlation of neighbouring residuals, from which on it is fitted
 
@@ -33,7 +32,7 @@ def with_correlated_noise(pair: BallPair, free: CollisionFit) -> BallPair | None
         return _with_codec_errors(pair, free)
     if _neighbour_correlation(free)[1] < MIN_CORRELATION_SIGMA:
         return None
-    parts = [_whiten_with_cubics(stretch) for stretch in _rolling_stretches(pair, free)]
+    parts = list(_whiten_with_cubics(pair, free))
     if not parts:
         return None
     # At a correlation of .972 the noise is 4 times its scatter from frame to frame. Longer-lived residuals are motion
@@ -87,24 +86,23 @@ def _neighbour_correlation(free: CollisionFit) -> tuple[float, float]:
     return rho, rho * float(np.sqrt(products.size))
 
 
-def _rolling_stretches(pair: BallPair, free: CollisionFit) -> Iterator[BallTrack]:
-    """Each ball before the contact and after its slide, a frame away from either."""
+def _whiten_with_cubics(pair: BallPair, free: CollisionFit) -> Iterator[tuple[Array, Ints]]:
+    """Cubics of either axis and positions, whitened by the claimed errors, (9, 2n); frames (n,).
+
+    They are those of each ball before the contact and after its slide, a frame away from either.
+    """
     for ball, track in pair.balls:
         t_c, frame = free.parameters[0], float(np.median(np.diff(track.start))) if len(track) > 1 else 0.0
         end = t_c + np.exp(free.parameters[FREE.index(f"log_tau{ball}")])
         for rows in (track.start + track.exposure < t_c - frame, track.start > end + frame):
-            # fewer positions than 12 do not show a correlation
-            if rows.sum() >= 12:
-                yield track.where(rows)
-
-
-def _whiten_with_cubics(track: BallTrack) -> tuple[Array, Ints]:
-    """Cubics of either axis and positions, whitened by the claimed errors, (9, 2n); frames (n,)."""
-    scaled = np.interp(track.frame, [track.frame[0], track.frame[-1]], [-1, 1])
-    columns = np.zeros((9, len(track), 2))
-    columns[:4, :, 0] = columns[4:8, :, 1] = (scaled[:, None] ** np.arange(4)).T
-    columns[-1] = track.position - track.position.mean(axis=0)
-    return replace(track, rho=0.0).whiten(columns), track.frame
+            if rows.sum() < 12:  # too few to show a correlation
+                continue
+            part = track.where(rows)
+            scaled = np.interp(part.frame, [part.frame[0], part.frame[-1]], [-1, 1])
+            columns = np.zeros((9, len(part), 2))
+            columns[:4, :, 0] = columns[4:8, :, 1] = (scaled[:, None] ** np.arange(4)).T
+            columns[-1] = part.position - part.position.mean(axis=0)
+            yield replace(part, rho=0.0).whiten(columns), part.frame
 
 
 def _restricted_likelihood(parts: list[tuple[Array, Ints]], rho: float) -> tuple[float, ScatterRatio]:

@@ -118,7 +118,10 @@ def find_track_contacts(balls: Sequence[BallTrack], diameter: float, *, glides: 
     settings = ContactFinderSettings(friction=0.0) if glides else ContactFinderSettings()
     noise = measure_path_noise([(ball.frame, ball.position) for ball in balls])
     by_number = {ball.particle: ball for ball in balls}
-    kinks = {n: _find_kinks(ball, noise) for n, ball in by_number.items()}
+    kinks = dict[int, Array]()  # frames, with halves, at which the path of a ball has a kink
+    for n, ball in by_number.items():
+        bends = CUTTER.find_kinks(ball.time, CUTTER.measure_kinks(ball.time, ball.position, noise))
+        kinks[n] = np.interp(bends, ball.time, ball.frame)
     pairs = [
         (one, other, frame)
         for one, other in find_near_pairs(list(balls), diameter, 1.0)
@@ -249,12 +252,6 @@ def _list_events(
     """Frames, with parts of them, of the contacts of a ball, and of its kinks that are `apart` from these or more."""
     own = [float(np.interp(c.time, ball.time, ball.frame)) for c in found if ball.particle in c.balls]
     return own, [at for at in kinks.tolist() if min((abs(at - f) for f in own), default=np.inf) > apart]
-
-
-def _find_kinks(ball: BallTrack, noise: float) -> Array:
-    """Frames, with halves, at which the path of a ball has a kink."""
-    at = CUTTER.find_kinks(ball.time, CUTTER.measure_kinks(ball.time, ball.position, noise))
-    return np.interp(at, ball.time, ball.frame)
 
 
 def _find_approaches(one: BallTrack, other: BallTrack, diameter: float, settings: ContactFinderSettings) -> list[float]:

@@ -75,10 +75,16 @@ def make_local_columns(
     prior = settings.local_velocity_error
     if estimate.errors_known:
         prior = max(prior * min(1.0, float(np.sqrt(excess))), settings.min_local_velocity_error)
+    at = [LOCAL_NAMES.index(name) for name in VELOCITIES]
+    response = np.nan_to_num(estimate.response[:, :8])
+    turn = response[at]  # of components along n and t to those along x and y
+    cov = turn.T @ np.nan_to_num(estimate.cov[np.ix_(at, at)]) @ turn
+    # the part of the errors that velocities make; the rest is that of places, as the line of centres
+    velocity_std = np.sqrt(np.maximum(((response @ cov) * response).sum(axis=1), 0.0))
     raw = {
         "value": _rounded(estimate.value),
         "std": _rounded(estimate.std),
-        "velocity_std": _rounded(_propagate_velocities(estimate)),
+        "velocity_std": _rounded(velocity_std),
         "r_std": _rounded(estimate.std[[LOCAL_NAMES.index("r")]])[0],
         "response": [_rounded(line) for line in estimate.response],
         "cov": [_rounded(line) for line in estimate.cov[np.ix_(_COMPARED, _COMPARED)]],
@@ -96,15 +102,6 @@ def make_local_columns(
     row["misfit_local"] = bool(estimate.adequate < settings.rejection_level)
     row["motion_local"] = "glide" if estimate.glides else "slide and roll"
     return row | apply_errors(row, LocalErrors(error_n=prior, error_t=prior))
-
-
-def _propagate_velocities(estimate: LocalEstimate) -> Array:
-    """The part (n,) of the standard errors that velocities make; the rest is that of places, as the line of centres."""
-    at = [LOCAL_NAMES.index(name) for name in VELOCITIES]
-    response = np.nan_to_num(estimate.response[:, :8])
-    turn = response[at]  # of components along n and t to those along x and y
-    cov = turn.T @ np.nan_to_num(estimate.cov[np.ix_(at, at)]) @ turn
-    return np.asarray(np.sqrt(np.maximum(((response @ cov) * response).sum(axis=1), 0.0)))
 
 
 def _rounded(values: Array) -> list[float | None]:
