@@ -146,11 +146,7 @@ def _find_shape(law: str, kind: TableKind, entry: Mapping[str, Any], parts: Mapp
 def _split_strengths(
     kind: TableKind, ball: str, model: Model, terms: list[tuple[FormulaTerm, float]]
 ) -> tuple[list[tuple[FormulaTerm, ParameterValue]], dict[str, float]] | None:
-    """Split the terms into strengths of the effect and numbers of the base model; None if no such model exists.
-
-    A law of one base parameter is that parameter times a sum; any other law is a sum. Constant and linear terms become
-    base parameters where the law has these. For a law of one ball the effect has the difference from them.
-    """
+    """Split terms into strengths of the effect and numbers of the base model that has them; None if impossible."""
     owners = {power: name for name, power in kind.owners}
     relative, base, values = list(owners) == [0], {}, []
     if relative and CONSTANT not in {t.name for t, _ in terms}:

@@ -13,16 +13,8 @@ from typing import Any
 import pandas as pd
 
 from discrepancy.fitting.parameters import list_candidates
+from discrepancy.planning import compare
 from discrepancy.planning.changes import CHANGES
-from discrepancy.planning.compare import (
-    ChangeLimits,
-    CollisionsNeeded,
-    compute_gain_of_change,
-    count_collisions_needed,
-    indistinguishable_pairs,
-    largest_cosine,
-    limits_with_changes,
-)
 from discrepancy.planning.from_scene import SceneExperiment, design_experiment
 from discrepancy.planning.limits import Signatures, StrengthLimits, count_draws, median_limits
 from discrepancy.planning.pair_advice import AS_FILMED, ComparedDesign, advise_on_pair
@@ -77,7 +69,7 @@ class Plan:
         return pd.DataFrame([[getattr(g, n) for n in names] for g in self.outcome.gains], columns=names)
 
     @property
-    def wanted(self) -> tuple[CollisionsNeeded, ...]:
+    def wanted(self) -> tuple[compare.CollisionsNeeded, ...]:
         """For each wanted limit, how many collisions it takes."""
         return self.outcome.wanted
 
@@ -191,7 +183,7 @@ def plan(
         progress(next(done), total)
 
     found = _typical_limits(given, clips, noise, seed, tick)
-    before, after = limits_with_changes(designed.experiment, tick) if changes else (found, ())
+    before, after = compare.limits_with_changes(designed.experiment, tick) if changes else (found, ())
     repeat = partial(_typical_limits, given, noise=noise, seed=seed)
     wanted = _count_wanted_collisions(wished, found, clips, repeat, tick)
     progress(total, total)
@@ -203,7 +195,9 @@ def plan(
             pairs=_pairs_with_advice(found, before, after, chosen, designed),
             before=before,
             tried=after,
-            gains=tuple(sorted((compute_gain_of_change(before, t, chosen) for t in after), key=lambda g: -g.naming)),
+            gains=tuple(
+                sorted((compare.compute_gain_of_change(before, t, chosen) for t in after), key=lambda g: -g.naming)
+            ),
             wanted=wanted,
         )
     )
@@ -231,7 +225,7 @@ def _count_wanted_collisions(
     clips: int,
     repeat: Callable[..., Sequence[StrengthLimits]],
     tick: Callable[[], None],
-) -> tuple[CollisionsNeeded, ...]:
+) -> tuple[compare.CollisionsNeeded, ...]:
     """For each wished strength, how many collisions it takes. repeat: the limits of so many collisions as `count`."""
 
     def limit_at(strength: str, count: int) -> float:
@@ -240,7 +234,7 @@ def _count_wanted_collisions(
         return _limit_of(there, strength).limit
 
     return tuple(
-        count_collisions_needed(one, size, _limit_of(found, one), clips, partial(limit_at, one))
+        compare.count_collisions_needed(one, size, _limit_of(found, one), clips, partial(limit_at, one))
         for one, size in wished.items()
     )
 
@@ -284,18 +278,18 @@ def _parse_wanted(limits: Mapping[str, float], known: Sequence[str]) -> dict[str
 def _pairs_with_advice(
     found: tuple[StrengthLimits, ...],
     before: tuple[StrengthLimits, ...],
-    after: Sequence[ChangeLimits],
+    after: Sequence[compare.ChangeLimits],
     chosen: Sequence[str],
     here: SceneExperiment,
 ) -> tuple[IndistinguishablePair, ...]:
     """The indistinguishable pairs, each with the advice how to distinguish it."""
     known = {c.name: c for c in list_candidates(here.experiment.model, here.experiment.names)}
     out = []
-    for pair in indistinguishable_pairs(found, chosen):
+    for pair in compare.indistinguishable_pairs(found, chosen):
         tries = [
-            ComparedDesign(AS_FILMED, largest_cosine(before, pair)),
-            *(ComparedDesign(t.words, largest_cosine(t.limits, pair)) for t in after),
+            ComparedDesign(AS_FILMED, compare.largest_cosine(before, pair)),
+            *(ComparedDesign(t.words, compare.largest_cosine(t.limits, pair)) for t in after),
         ]
         advice = advise_on_pair(known[pair[0]], known[pair[1]], tries) if after else ""
-        out.append(IndistinguishablePair(pair, largest_cosine(found, pair), advice))
+        out.append(IndistinguishablePair(pair, compare.largest_cosine(found, pair), advice))
     return tuple(out)

@@ -13,7 +13,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from discrepancy.arrays import Array, Ints
-from tracker.camera.camera import Camera
 from tracker.measurement.camera_errors import remove_shared, shared_effects
 from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER
 from tracker.measurement.local.recommendation import NONE, recommend
@@ -102,11 +101,7 @@ class Contacts:
 
 
 def _is_usable(row: Mapping[Any, Any]) -> bool:
-    """Decide by the rule of the tracker, as if there were no tied fit.
-
-    In a crowd one ball may be heavier than the others, so contacts whose balance of momentum differs from that of the
-    film stay.
-    """
+    """Decide by the tracker's rule, without a tied fit; in a crowd one ball may be heavier."""
     if row["status"] == TOGETHER or not (_is_known(row, "v0_local") and _is_known(row, "b_local")):
         return False
     hits = {"local_hits": 0} if row["status"] == CROWD else {}
@@ -165,11 +160,7 @@ def _read_row(row: Mapping[Any, Any], stated: float) -> dict[str, float]:
 def _read_slip(
     row: Mapping[Any, Any], slips: Mapping[int, Slip], friction_std: float, *, max_slip_error: float = 0.5
 ) -> dict[str, Any]:
-    """The columns of a contact of a crowd that depend on the spins of its balls; NaN where these are not known.
-
-    friction_std: by s, where the tracks show it; the covariance of s is known, that of the velocities is not.
-    max_slip_error: over the slip, up to which it is known.
-    """
+    """The columns of a contact of a crowd that depend on spins; NaN where the slip is less known than this share."""
     out: dict[str, Any] = {"bodies": (int(row["particle1"]), int(row["particle2"]))}
     slip = slips.get(int(row["collision"]))
     if slip is None or not slip.across_std < max_slip_error * slip.size:
@@ -201,28 +192,15 @@ def _iterate_estimates(
     """Yield of clips with local estimates: number, rows, stated mass ratio, and a function that gives all contacts."""
     if isinstance(measured, Path):
         table = pd.read_parquet(measured / "estimates.parquet")
-        if set(NEEDED) <= set(table):
-            for number, rows in table.groupby("clip"):
-                clip = int(str(number))
-                yield (
-                    clip,
-                    rows,
-                    _stated_ratio(read_clip(measured, clip)[1]),
-                    partial(read_all_contacts, measured, clip),
-                )
+        for number, rows in table.groupby("clip") if set(NEEDED) <= set(table) else ():
+            clip = int(str(number))
+            ratio = read_clip(measured, clip)[1].mass_ratio
+            yield clip, rows, ratio or 1.0, partial(read_all_contacts, measured, clip)
         return
     for k, result in enumerate(measured):
         if set(NEEDED) <= set(result.estimates):
-            yield k, result.estimates.assign(clip=k), _stated_ratio(result.camera), partial(_get_contacts, result)
-
-
-def _get_contacts(result: Result) -> pd.DataFrame:
-    return result.contacts
-
-
-def _stated_ratio(camera: Camera) -> float:
-    ratio = camera.mass_ratio
-    return 1.0 if ratio is None else ratio
+            ratio = result.camera.mass_ratio
+            yield k, result.estimates.assign(clip=k), ratio or 1.0, partial(getattr, result, "contacts")
 
 
 @dataclass(frozen=True)
@@ -282,7 +260,7 @@ def _find_slip(row: Mapping[Any, Any], turning: float, variance: float, glides: 
     vertical velocity.
     """
     v0, b, r = (float(row[f"{name}_local"]) for name in ("v0", "b", "r"))
-    into1, into2, out1, out2 = _read_velocities(row)
+    into1, into2, out1, out2 = (np.array([float(row[f"v{k}{axis}_local"]) for axis in "xy"]) for k in AXES)
     heading = (into2 - into1) / np.hypot(*(into2 - into1))
     cosine = np.sqrt(max(1 - b * b, 1e-6))
     normal = cosine * heading + b * np.array([heading[1], -heading[0]])  # from the striking to the struck ball
@@ -302,7 +280,3 @@ def _find_slip(row: Mapping[Any, Any], turning: float, variance: float, glides: 
     )
     per_impulse = PER_IMPULSE_OF_DISC if glides else PER_IMPULSE
     return slip, -per_impulse * impulse, per_impulse * impulse_std
-
-
-def _read_velocities(row: Mapping[Any, Any]) -> Iterator[Array]:
-    return (np.array([float(row[f"v{k}{axis}_local"]) for axis in "xy"]) for k in AXES)

@@ -106,7 +106,9 @@ def _describe_lasting_contact(row: Mapping[Any, Any]) -> str:
 
 def _hit_from_estimates(row: Mapping[Any, Any], start: float) -> HitGuess | None:
     """The contact by the tracker's estimates, with times from `start`, s; None where an estimate is missing."""
-    guess = np.array([_choose_estimate(row, name) for name in ("t_c", "v0", "b", "tau1", "tau2")])
+    names, is_rejected = ("t_c", "v0", "b", "tau1", "tau2"), row["status"] == MISFIT
+    tied, free = (np.array([float(row.get(f"{n}{fit}", np.nan)) for n in names]) for fit in ("", "_free"))
+    guess = np.where(is_rejected & np.isfinite(free), free, tied)  # the free fit where it alone describes the tracks
     if not np.all(np.isfinite(guess)):
         return None
     t_c = guess[0] - start
@@ -126,12 +128,6 @@ def _guess_launch(
         acceleration = 2 * np.polyfit(times - times.mean(), coming, 2)[0]
     spins = guess_spin(row, heading, hit.v0, acceleration)
     return np.array([*(resting - camera.radius * n), hit.t_c, hit.v0, heading, b, *spins])
-
-
-def _choose_estimate(row: Mapping[Any, Any], name: str) -> float:
-    """The estimate of a quantity: that of the free fit where the tied fit is rejected and the free one has a value."""
-    free = float(row.get(f"{name}_free", np.nan)) if row["status"] == MISFIT else np.nan
-    return free if np.isfinite(free) else float(row[name])
 
 
 def guess_spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -> Array:

@@ -44,10 +44,7 @@ def covers_contact(clip: MeasuredCollision) -> bool:
 
 
 def _detect_grid(clips: Sequence[MeasuredCollision], min_values: int = 30, share: float = 0.98) -> float:
-    """The step of a grid, px, on which all coordinates lie, if it is not small compared with their errors; else 0.
-
-    A grid needs `min_values` different coordinates of a clip. That `share` of them must lie on it, to 2 % of its step.
-    """
+    """The step, px, of a grid that holds this share of a clip's coordinates, if not small beside errors; else 0."""
     table_step = 1e-3  # px; a finer grid is only the rounding of the table
     steps = []
     for clip in clips:

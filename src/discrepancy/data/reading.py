@@ -142,10 +142,7 @@ def _build_one(
 
 
 def _build(source: _Source) -> tuple[MeasuredCollision | SearchNote, bool, float]:
-    """The clip's collision, or why it cannot be used.
-
-    Also whether the tracks reject the tracker's own model, and how long the contact may last, s; NaN: no time.
-    """
+    """A clip's collision or why there is none; whether the tracker's model is rejected; the contact's duration, s."""
     number, tracks, camera = source.number, source.tracks, source.camera
     if (frame := find_exchange(tracks, camera)) is not None:
         return SearchNote(SearchNoteKind.BALLS_EXCHANGED, number, (frame,)), False, np.nan

@@ -21,17 +21,8 @@ from numpy.typing import NDArray
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.model_fit import ModelFit, orthonormal_basis
-from discrepancy.noise.model import (
-    SHARED_NOISE_CORRELATIONS,
-    BallPairs,
-    Noise,
-    NoiseComponent,
-    finite_cost,
-    minimise_cost,
-    noise_from_numbers,
-    numbers_from_component,
-    order_of,
-)
+from discrepancy.noise import model
+from discrepancy.noise.model import BallPairs, Noise, NoiseComponent
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
 
@@ -123,17 +114,17 @@ class RestrictedResiduals:
 
     def best(self, start: Noise) -> tuple[float, Noise]:
         """(cost with the penalty of its numbers, noise): the most likely noise of the same order, from `start`."""
-        shape, common = order_of(start.own), order_of(start.shared[0]) if start.shared else None
-        numbers = [np.log([start.own.variance]), numbers_from_component(start.own)]
+        shape, common = model.order_of(start.own), model.order_of(start.shared[0]) if start.shared else None
+        numbers = [np.log([start.own.variance]), model.numbers_from_component(start.own)]
         if start.shared:
-            numbers += [np.log([s.variance for s in start.shared]), numbers_from_component(start.shared[0])]
-        build = partial(noise_from_numbers, shape, common)
+            numbers += [np.log([s.variance for s in start.shared]), model.numbers_from_component(start.shared[0])]
+        build = partial(model.noise_from_numbers, shape, common)
 
         def cost(y: Array) -> float:
             return self.cost(build(y))
 
-        x = minimise_cost(cost, np.concatenate(numbers))
-        return finite_cost(cost, x) + self.penalty * len(x), build(x)
+        x = model.minimise_cost(cost, np.concatenate(numbers))
+        return model.finite_cost(cost, x) + self.penalty * len(x), build(x)
 
     def common_mode_score(self, noise: Noise) -> tuple[float, float]:
         """The most significant score of shared noise over correlations and axes, in sigma, and its correlation.
@@ -142,7 +133,7 @@ class RestrictedResiduals:
         residuals, P the projection off the launches, and B the kernel between the balls. The score z'Bz / 2 then has
         mean tr(PB) / 2 and variance tr(PBPB) / 2.
         """
-        scores, means, variances = (np.zeros((len(SHARED_NOISE_CORRELATIONS), 2)) for _ in range(3))
+        scores, means, variances = (np.zeros((len(model.SHARED_NOISE_CORRELATIONS), 2)) for _ in range(3))
         for clip, columns in zip(self.clips, self.columns, strict=True):
             white = ClipWhitener.of(clip, noise)
             seen = white.decorrelate(columns)
@@ -156,7 +147,7 @@ class RestrictedResiduals:
                 taken = [p.T @ q for p in pushes]
                 own = [p.T @ p - t @ t.T for p, t in zip(pushes, taken, strict=True)]
                 cross = -taken[1] @ taken[0].T
-                for j, rho in enumerate(SHARED_NOISE_CORRELATIONS):
+                for j, rho in enumerate(model.SHARED_NOISE_CORRELATIONS):
                     kernel = rho**apart
                     scores[j, axis] += pulls[0] @ kernel @ pulls[1]
                     means[j, axis] += np.trace(kernel @ cross)
@@ -165,7 +156,7 @@ class RestrictedResiduals:
         off = scores - means
         both = off.sum(axis=1) / np.sqrt(variances.sum(axis=1))
         best = np.maximum((off / np.sqrt(variances)).max(axis=1), both)
-        return float(best.max()), float(SHARED_NOISE_CORRELATIONS[int(best.argmax())])
+        return float(best.max()), float(model.SHARED_NOISE_CORRELATIONS[int(best.argmax())])
 
 
 def _whiten_displacements(white: ClipWhitener, rows: NDArray[np.intp], axis: int) -> Array:

@@ -47,10 +47,7 @@ class Candidate:
 
 
 def _tries(p: Parameter, count: int) -> list[float]:
-    """Values of a shape parameter to try: 3 or 5, from a fifth of the realistic size to five times it.
-
-    If zero is allowed, they are fractions of the realistic size up to twice that.
-    """
+    """Values of a shape parameter to try: 3 or 5, up to five times the realistic size, or fractions of it from zero."""
     if p.tries:
         return list(p.tries)
     if p.low > 0:

@@ -93,10 +93,7 @@ def _arrange_frames(clips: Sequence[MeasuredCollision]) -> tuple[Ints, tuple[Int
 def _average_exposures(
     model: Model, motion: CollisionBatch, camera: Camera, film: Array, exposure: float
 ) -> tuple[Array, Array]:
-    """Means over the exposures, (2, clips, frames, 2), m, and the times at which these open, (2 clips, frames) s.
-
-    film: the times of the frames of each ball by the clock of the film, (2 clips, frames).
-    """
+    """Means over exposures (2, clips, frames, 2), m, and when these open, s; film: times by its clock."""
     if not model.laws.needs("clock", "row"):
         opens = model.laws("clock", film, {"fps": camera.fps, "row": 0.0})
         return motion.average_centres(opens, exposure), opens

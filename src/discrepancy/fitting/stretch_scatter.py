@@ -81,9 +81,10 @@ def fit_scatter(
     moves = _differentiate_losses(bare, fit.model, fit.launches[indices])
     way = float(np.median([np.hypot(*np.ptp(clip.xy, axis=0)) for clip in bare]))
     noise_m = noise.scale * float(np.median(np.concatenate([clip.claimed_std() for clip in bare])))
+    speed = np.median(np.abs(fit.launches[:, V0]))
     start = {
         "friction": 0.05,
-        "loss_m_s2": 0.2 * max(_typical_loss(fit.model, fit.launches), 1e-3),
+        "loss_m_s2": 0.2 * max(float(fit.model.rolling_decel + fit.model.rolling_drag * speed), 1e-3),
         "displacement_m": noise_m,
         "reach_m": 0.2 * way,
     }
@@ -170,10 +171,6 @@ def _cost_of_normal(covariance: Array, values: Array) -> float:
 def _kernel(one: Array, other: Array, scatter: StretchScatter) -> Array:
     apart = ((one[:, None] - other) ** 2).sum(axis=-1)
     return np.asarray(scatter.displacement_m**2 * np.exp(-apart / (2 * scatter.reach_m**2)))
-
-
-def _typical_loss(model: Model, launches: Array) -> float:
-    return float(model.rolling_decel + model.rolling_drag * np.median(np.abs(launches[:, V0])))
 
 
 def _differentiate_losses(clips: Sequence[MeasuredCollision], model: Model, launches: Array) -> list[Array]:

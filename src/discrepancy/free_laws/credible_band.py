@@ -85,10 +85,7 @@ class _StepAxis(Axis):
 
 
 def _weigh_steps(fitted_law: FittedLaw, x: Array) -> tuple[Array, Array, Array]:
-    """Weigh a grid of steps against the smooth curve; refine the grid where the weight is.
-
-    Returns log odds (k,) of each step against the smooth curve, and mean and std (k, n, 1) of the law at x given each.
-    """
+    """Log odds (k,) of steps against the smooth curve, on a grid refined where the weight is; mean and std at x."""
     counts, batch = (40, 6), 60  # positions and widths of one grid; steps fitted at once, to limit memory
     widths = (0.004, 0.15)  # the smallest and the largest of a step's tanh, as shares of the range
     min_effective_steps, max_refinements = 12.0, 6  # that share the weight in the end, if it still halves
@@ -113,10 +110,7 @@ def _weigh_steps(fitted_law: FittedLaw, x: Array) -> tuple[Array, Array, Array]:
 
 
 def _fit_steps(bare: FittedLaw, steps: Array, x: Array) -> tuple[Array, Array, Array]:
-    """Fit each of some steps alone, with the law's own parameters.
-
-    Returns the gain over no curve in chi^2, freedom subtracted, and mean and std (k, n, 1) of the law at x.
-    """
+    """Fit each step alone with the law's own parameters: gain over no curve, less freedom; mean and std at x."""
     law, fit, axis = bare.law, bare.fit, bare.law.axes[0]
     step = replace(law, axes=(_StepAxis(axis.name, axis.unit, axis.low, axis.high, len(steps), steps=steps),))
     moves = bare.evidence.whiten(step.derivatives(fit.model, fit.launches, bare.evidence.clips))

@@ -48,7 +48,11 @@ class FittedLaw:
         """Evaluate the law at x: values (n, parts), and their covariances between the points, (parts, n, n)."""
         series = self.law.values(self.coefs, *x).reshape(-1, self.law.parts)
         values = self.law.value_in_model(self.fit.model, *x) + series
-        spread, extra, one = self._covariance(), len(self.owners), self.law.size // self.law.parts
+        extra, one = len(self.owners), self.law.size // self.law.parts
+        matrix, _ = self.information_with_owners(self.slopes)
+        matrix[extra:, extra:] += self.prior.precision
+        scale = np.sqrt(np.diag(matrix))
+        spread = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)  # marginal over all else
         own = np.stack([x[0] ** power for _, power in self.owners], axis=-1) if extra else np.zeros((len(x[0]), 0))
         covariances = []
         for part in range(self.law.parts):
@@ -58,13 +62,6 @@ class FittedLaw:
                 design = design - design.mean(axis=0)
             covariances.append(design @ spread[np.ix_(rows, rows)] @ design.T)
         return (values - values.mean(axis=0) if self.law.centred else values), np.stack(covariances)
-
-    def _covariance(self) -> Array:
-        """Covariance of the law's own parameters and the coefficients, marginal over all others."""
-        matrix, _ = self.information_with_owners(self.slopes)
-        matrix[len(self.owners) :, len(self.owners) :] += self.prior.precision
-        scale = np.sqrt(np.diag(matrix))
-        return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
 
     def information_with_owners(self, columns: Sequence[Array]) -> tuple[Array, Array]:
         """Information and pull of the law's own parameters, followed by columns (2n, k) of each clip."""

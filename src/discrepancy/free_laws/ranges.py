@@ -99,7 +99,8 @@ def compute_ranges(model: Model, launches: Array, clips: Sequence[MeasuredCollis
     samples = 300  # instants, evenly spaced over the longest clip, or over each stretch
     min_speed = 1e-5  # m/s; a ball that is slower rests, and one whose contact point is slower rolls
     free = np.array([c.is_stretch for c in clips])
-    first, last = (np.array([of(c) / c.fps for c in clips]) for of in (_first_frame, _end_frame))
+    first = np.array([int(c.frame.min()) / c.fps for c in clips])
+    last = np.array([(int(c.frame.max()) + 1) / c.fps for c in clips])
     first = np.where(free, launches[:, T_C], min(first.min(), launches[:, T_C].min()))
     last = np.where(free, last, last.max())
     times = np.linspace(first, last, samples, axis=1)
@@ -129,14 +130,6 @@ def compute_ranges(model: Model, launches: Array, clips: Sequence[MeasuredCollis
     is_a = np.stack([~a_strikes, a_strikes])
     rows = {"": np.ones_like(is_a), "a": is_a, "b": ~is_a}
     return {ball: cover(slip[own], velocity[own], place[own]) for ball, own in rows.items()}
-
-
-def _first_frame(clip: MeasuredCollision) -> int:
-    return int(clip.frame.min())
-
-
-def _end_frame(clip: MeasuredCollision) -> int:
-    return int(clip.frame.max()) + 1
 
 
 def over_range(

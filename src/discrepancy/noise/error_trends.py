@@ -5,8 +5,9 @@ Both are read from smooth stretches of the tracks, without their cubics, so neit
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtri
@@ -49,7 +50,8 @@ def remove_frame_shift(
             whole = np.zeros(3)
             whole[kept] = shift
             values = {"x_um": 1e6 * whole[0], "y_um": 1e6 * whole[1], "late_ms": 1e3 * whole[2], "sigma": sigma}
-            return [_move_back(clip, whole) for clip in clips], [SearchNote(SearchNoteKind.FRAME_SHIFT, values=values)]
+            moved = [replace(c, xy=c.xy - _shift_columns(c.frame, _velocities(c)) @ whole) for c in clips]
+            return moved, [SearchNote(SearchNoteKind.FRAME_SHIFT, values=values)]
         del kept[weakest]
     return list(clips), []
 
@@ -112,39 +114,24 @@ def _velocity(frame: Ints, xy: Array, fps: float) -> Array:
     return np.asarray(np.polynomial.polynomial.polyval(scaled, slope).T / unit)
 
 
-def _move_back(clip: MeasuredCollision, shift: Array) -> MeasuredCollision:
-    velocity = np.concatenate([v for _, v in _motion(clip)])
-    return replace(clip, xy=clip.xy - _shift_columns(clip.frame, velocity) @ shift)
-
-
-def _motion(clip: MeasuredCollision, window: int = 7) -> Iterator[tuple[Ints, Array]]:
-    """Rows of a ball and their velocities (n, 2), m/s: slopes over `window` positions, none across the contact."""
-    for ball in (0, 1):
-        rows = np.flatnonzero(clip.ball == ball)
-        late = clip.frame[rows] / clip.fps >= clip.launch[T_C]
-        velocity = np.zeros((len(rows), 2))
-        for side in (~late, late):
-            part = rows[side]
-            if len(part) < 2:
-                continue
-            width = min(window, len(part))
-            first = np.clip(np.arange(len(part)) - width // 2, 0, len(part) - width)
-            near = part[first[:, None] + np.arange(width)]
-            time = clip.frame[near] / clip.fps
-            time = time - time.mean(axis=1, keepdims=True)
-            velocity[side] = np.einsum("nk,nka->na", time, clip.xy[near]) / (time**2).sum(axis=1)[:, None]
-        yield rows, velocity
+def _velocities(clip: MeasuredCollision, window: int = 7) -> Array:
+    """Velocities (n, 2), m/s, of the rows: slopes over `window` positions of a ball, none across the contact."""
+    velocity = np.zeros((len(clip.frame), 2))
+    late = clip.frame / clip.fps >= clip.launch[T_C]
+    for ball, side in itertools.product((0, 1), (~late, late)):
+        part = np.flatnonzero((clip.ball == ball) & side)
+        if len(part) < 2:
+            continue
+        width = min(window, len(part))
+        first = np.clip(np.arange(len(part)) - width // 2, 0, len(part) - width)
+        near = part[first[:, None] + np.arange(width)]
+        time = clip.frame[near] / clip.fps
+        time = time - time.mean(axis=1, keepdims=True)
+        velocity[part] = np.einsum("nk,nka->na", time, clip.xy[near]) / (time**2).sum(axis=1)[:, None]
+    return velocity
 
 
 # --- Noise that is not the same everywhere ---
-
-
-@dataclass(frozen=True)
-class _Trend:
-    """A quantity on which the size of the noise may depend."""
-
-    kind: SearchNoteKind
-    columns: Callable[[MeasuredCollision], Array]  # (n, k) for the rows of a clip
 
 
 def rescale_errors(
@@ -164,40 +151,28 @@ def rescale_errors(
     squares, rows = _innovations(usual, noise)
     if not len(squares):
         return list(clips), []
-    trends = _list_trends(usual)
+    trends, policy = _list_trends(usual), current_policy()
     while trends:
-        blocks = [np.concatenate([t.columns(c)[r] for c, r in zip(usual, rows, strict=True)]) for t in trends]
+        blocks = [np.concatenate([t(c)[r] for c, r in zip(usual, rows, strict=True)]) for t in trends.values()]
         sizes, sigmas = _fit_variance(squares, blocks)
-        policy = current_policy()
-        ratios = [_ratio_of_sizes(block @ size) for block, size in zip(blocks, sizes, strict=True)]
-        passes = [
-            s > policy.noise_trend_sigma and r > policy.min_noise_trend for s, r in zip(sigmas, ratios, strict=True)
-        ]
-        if all(passes):
-            seen = [block @ size for block, size in zip(blocks, sizes, strict=True)]
-            level = float(np.mean(sum(seen)))
-            logs = [
-                sum(  # no further than the fitted rows show
-                    np.clip(t.columns(c) @ s, part.min(), part.max())
-                    for t, s, part in zip(trends, sizes, seen, strict=True)
-                )
-                for c in clips
-            ]
-            scaled = [
-                replace(c, covariance=c.covariance * np.exp(log - level)[:, None, None])
-                for c, log in zip(clips, logs, strict=True)
-            ]
-            return scaled, [
-                SearchNote(t.kind, values={"ratio": r, "sigma": s})
-                for t, r, s in zip(trends, ratios, sigmas, strict=True)
-            ]
-        failing = [k for k, good in enumerate(passes) if not good]
-        del trends[min(failing, key=lambda k: sigmas[k])]
+        seen = [block @ size for block, size in zip(blocks, sizes, strict=True)]
+        sigma = dict(zip(trends, sigmas, strict=True))
+        ratio = dict(zip(trends, map(_ratio_of_sizes, seen), strict=True))
+        failing = [k for k in trends if not (sigma[k] > policy.noise_trend_sigma and ratio[k] > policy.min_noise_trend)]
+        if failing:
+            del trends[min(failing, key=sigma.__getitem__)]
+            continue
+        level, scaled = float(np.mean(sum(seen))), []
+        for clip in clips:  # no further than the fitted rows show
+            each = zip(trends.values(), sizes, seen, strict=True)
+            log = sum(np.clip(t(clip) @ s, part.min(), part.max()) for t, s, part in each)
+            scaled.append(replace(clip, covariance=clip.covariance * np.exp(log - level)[:, None, None]))
+        return scaled, [SearchNote(kind, values={"ratio": ratio[kind], "sigma": sigma[kind]}) for kind in trends]
     return list(clips), []
 
 
-def _list_trends(clips: Sequence[MeasuredCollision]) -> list[_Trend]:
-    """List what the noise may depend on, with columns that are zero where nothing changes."""
+def _list_trends(clips: Sequence[MeasuredCollision]) -> dict[SearchNoteKind, Callable[[MeasuredCollision], Array]]:
+    """List what the noise may depend on: columns (n, k) for the rows of a clip, zero where nothing changes."""
     speeds = np.concatenate([_speeds(c) for c in clips])
     knots = np.array([0.0, *np.quantile(speeds[speeds > 0.05 * speeds.max()], (1 / 3, 2 / 3, 0.98))])
     middle = np.mean(np.concatenate([c.xy for c in clips]), axis=0)
@@ -214,24 +189,20 @@ def _list_trends(clips: Sequence[MeasuredCollision]) -> list[_Trend]:
     def by_ball(clip: MeasuredCollision) -> Array:
         return np.asarray(np.where((clip.ball == 1) == (clip.striker == "b"), 0.5, -0.5)[:, None])
 
-    return [
-        _Trend(SearchNoteKind.NOISE_BY_SPEED, by_speed),
-        _Trend(SearchNoteKind.NOISE_BY_PLACE, by_place),
-        _Trend(SearchNoteKind.NOISE_BY_BALL, by_ball),
-        _Trend(SearchNoteKind.NOISE_BY_PARITY, lambda clip: _parity(clip.frame)[:, None]),
-    ]
+    return {
+        SearchNoteKind.NOISE_BY_SPEED: by_speed,
+        SearchNoteKind.NOISE_BY_PLACE: by_place,
+        SearchNoteKind.NOISE_BY_BALL: by_ball,
+        SearchNoteKind.NOISE_BY_PARITY: lambda clip: _parity(clip.frame)[:, None],
+    }
 
 
 def _speeds(clip: MeasuredCollision) -> Array:
-    return np.concatenate([np.hypot(*velocity.T) for _, velocity in _motion(clip)])
+    return np.asarray(np.hypot(*_velocities(clip).T))
 
 
 def _innovations(clips: Sequence[MeasuredCollision], noise: Noise, min_share: float = 0.05) -> tuple[Array, list[Ints]]:
-    """Squared innovations (n,), the mean of both axes, with their rows in each clip.
-
-    A track less its cubic is whitened. Each remainder is divided by its share that the cubic leaves.
-    A number of which less than `min_share` is left says nothing.
-    """
+    """Squared innovations (n,) of tracks less their cubics, over the share that these leave; and their rows."""
     squares, rows, least = list[Array](), list[Ints](), current_policy().min_short_stretch_positions
     for clip in clips:
         claimed, own = clip.claimed_std(), [np.zeros(0, dtype=np.int64)]
@@ -261,11 +232,7 @@ def _cut(stretches: Iterator[Ints], size: int, whole: bool) -> Iterator[Ints]:
 
 
 def _fit_variance(squares: Array, blocks: Sequence[Array], rounds: int = 30) -> tuple[list[Array], list[float]]:
-    """Fit log variances, linear in the columns of all blocks and a constant: coefficients and sigma of each block.
-
-    The scoring step of a gamma likelihood with a logarithmic link has equal weights, so each is a plain least-squares
-    fit.
-    """
+    """Fit log variances, linear in all blocks: coefficients and sigma of each. Each scoring step is least squares."""
     design = np.column_stack([np.ones(len(squares)), *blocks])
     inverse = np.linalg.pinv(design)
     squares = np.maximum(squares, 1e-6 * squares.mean())

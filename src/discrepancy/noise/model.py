@@ -255,11 +255,7 @@ def estimate_noise(clips: Sequence[MeasuredCollision]) -> Noise:
 
 
 def _exclude_motion(noise: Noise, stretches: Sequence[Stretch], cut: bool = False) -> Noise:
-    """The noise, or that of short pieces where over whole phases it must contain motion that no cubic follows.
-
-    cut: of clips that are free stretches of single balls. These have few positions, so that a cubic takes up nearly all
-    slow noise, and its size is no test.
-    """
+    """The noise, or that of short pieces if it contains motion; cut: of stretches, where a cubic takes it up."""
     short = replace(noise, own=fit_own_noise(_cut_pieces(stretches)), whole_phase_scale=noise.scale)
     policy, left = current_policy(), np.sqrt(_measure_power(stretches))
     exceeds = cut or left > policy.min_cubic_residual_ratio * short.scale
@@ -274,11 +270,7 @@ def _measure_power(stretches: Iterable[Stretch]) -> float:
 
 
 def _cut_pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
-    """Pieces of stretches, so short that a cubic follows any motion.
-
-    Two kinds are left out: pieces whose large residuals show an event, and pieces without residuals, as of a resting
-    ball whose position a table repeats.
-    """
+    """Pieces so short that a cubic follows any motion, without those of an event or of a repeated position."""
     rounding = 1e-9  # of the claimed variance
     size = current_policy().min_short_stretch_positions
     cut = [

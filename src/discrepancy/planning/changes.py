@@ -139,10 +139,6 @@ def _magnify(experiment: PlannedExperiment, times: float) -> PlannedExperiment:
     return experiment.through_camera(dataclasses.replace(camera, K=matrix, scale=camera.scale / times))
 
 
-def _double_collisions(experiment: PlannedExperiment, rng: np.random.Generator) -> ChangedExperiment:
-    return "twice as many collisions", experiment.select([*range(len(experiment.clips))] * 2)
-
-
 def _tilt_plate(experiment: PlannedExperiment, rng: np.random.Generator) -> ChangedExperiment | None:
     """Tilt the plate by half of the steepest tilt at which a ball stays at rest. The fit then finds the tilt."""
     model = experiment.model
@@ -174,7 +170,7 @@ CHANGES = (
     DesignChange("exposure_shorter", lambda e, _: _set_possible_exposure(e, e.camera.exposure / 2)),
     DesignChange("field_wider", lambda e, _: ("a field of view twice as wide", _magnify(e, 0.5))),
     DesignChange("field_narrower", lambda e, _: ("a field of view half as wide", _magnify(e, 2.0))),
-    DesignChange("more", _double_collisions),
+    DesignChange("more", lambda e, _: ("twice as many collisions", e.select([*range(len(e.clips))] * 2))),
     DesignChange("tilted", _tilt_plate),
 )
 TOGETHER = DesignChange("together", change_all_launches)

@@ -140,10 +140,7 @@ def _mark_stages(ax: Axes, title: str, is_cut: bool) -> None:
 
 
 def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise) -> tuple[Array, Array, Array]:
-    """Stage (n,), ball (n,) and residuals (n, 2), µm along and across the path after the contact, of all positions.
-
-    Stage: -1 to 0 before the contact, to 1 while the ball slides, to 2 while it rolls.
-    """
+    """Stage (-1 to 0 before the contact, 1 sliding, 2 rolling), ball, and residuals along and across the path, µm."""
     stages, balls, lefts = [], [], []
     expected = predict_tracks(fit.model, fit.launches, clips)
     for clip, launch, xy, white in zip(clips, fit.launches, expected, fit.residuals, strict=True):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from discrepancy import wording
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.outcome import SearchOutcome
 from discrepancy.report.document import tabulate_residuals, to_document
@@ -15,16 +16,6 @@ from discrepancy.report.figures import draw_search_figures, list_models, name_be
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.residual_map import Disagreement, is_unexplained
-from discrepancy.wording import (
-    describe_disagreement,
-    describe_error_source,
-    describe_rejection,
-    describe_search,
-    describe_verdict,
-    format_chi2,
-    format_sigma,
-    write_story,
-)
 from synthcam.model import Model, write_model
 from synthcam_shared.outputs import replace_folder
 from synthcam_shared.report.numbers import format_number, round_to_error
@@ -56,7 +47,7 @@ def write(found: SearchOutcome, folder: Path) -> None:
         PageSection(
             "How to read this page", [PageList([*([about_stretches] if found.data.is_cut else []), *definitions])]
         ),
-        PageSection("Course of the search", [PageList(write_story(found), ordered=True)]),
+        PageSection("Course of the search", [PageList(wording.write_story(found), ordered=True)]),
         PageSection("Experiment that would distinguish the candidates", [found.experiment] if found.experiment else []),
         *(PageSection(figure.title, [figure]) for figure in figures),
         PageSection(f"Residuals of held-out {unit}, in numbers", [_gap_table(found)]),
@@ -71,7 +62,7 @@ def write(found: SearchOutcome, folder: Path) -> None:
             f"{str(unit).capitalize()} and positions that were not used", [PageList(left_out)] if left_out else []
         ),
     ]
-    summary = [f"Verdict: {describe_verdict(found)}", describe_search(found)]
+    summary = [f"Verdict: {wording.describe_verdict(found)}", wording.describe_search(found)]
     write_page(folder / "index.html", "Search for missing physics", sections, "discrepancy find", summary)
 
 
@@ -105,7 +96,7 @@ def _named_table(found: SearchOutcome) -> PageTable | None:
     rows = []
     for claim in found.claims:
         aliases = ", ".join(claim.aliases[1:]) or "none"
-        once = claim.effect, format_sigma(claim.sigma), aliases  # on the first line of an effect
+        once = claim.effect, wording.format_sigma(claim.sigma), aliases  # on the first line of an effect
         for name, value in (claim.values | claim.shapes).items():
             text, own = _format_parameter(claim, name, value)
             effect, joint, similar = once
@@ -120,7 +111,7 @@ def _named_table(found: SearchOutcome) -> PageTable | None:
         "its value over its standard error. The significance of the effect is that of all its strengths together. A "
         "95 % interval is 1.96 standard errors wide on either side."
     )
-    return PageTable(heads, rows, note=f"{note} {describe_error_source(found)}".rstrip())
+    return PageTable(heads, rows, note=f"{note} {wording.describe_error_source(found)}".rstrip())
 
 
 def _format_parameter(claim: EffectClaim, name: str, value: float) -> tuple[str, str]:
@@ -133,14 +124,11 @@ def _format_parameter(claim: EffectClaim, name: str, value: float) -> tuple[str,
         return f"{number}, at the limit of its range", ""
     if not (np.isfinite(std) and std > 0):
         return f"{number}, without an error: more is missing", ""
-    return f"{number} ± {std:.2g}", format_sigma(abs(value) / std) if name in claim.values else ""
+    return f"{number} ± {std:.2g}", wording.format_sigma(abs(value) / std) if name in claim.values else ""
 
 
 def _describe_similar(found: SearchOutcome) -> list[Block]:
-    """The effects with a similar signature, and whether the data exclude them as a replacement of the claim.
-
-    A replacement leaves at least the share 1 - cosine² of the chi^2 that the claim explains, to first order.
-    """
+    """Effects with a similar signature: in the claim's place one leaves at least 1 - cosine² of its chi^2."""
     out: list[Block] = []
     for claim in found.claims:
         excluded: list[str] = []
@@ -167,7 +155,7 @@ def _gap_table(found: SearchOutcome) -> PageTable:
     keys = ["before", "floor"] if found.is_empty else ["before", "after", "floor"]
     rows = []
     for name, part in {**gap.by_phase, "all phases": gap}.items():
-        chi2 = [format_chi2(getattr(part, key)) for key in keys]
+        chi2 = [wording.format_chi2(getattr(part, key)) for key in keys]
         rms = [format_number(getattr(part, f"{key}_um")) for key in keys]
         rows.append(["before the contact" if name == "before" else name, *chi2, *rms])
     note = f"The {len(found.data.held_out)} held-out {found.data.unit}. Rms of the residuals in x and y."
@@ -193,11 +181,11 @@ def _test_table(found: SearchOutcome) -> list[Block]:
         rows.append(
             (
                 test.name,
-                *(format_chi2(chi2) for chi2 in held_out.gap),
-                f"{format_sigma(held_out.sigma)} ({format_sigma(held_out.promised)})",
-                *(format_chi2(chi2) for chi2 in each.gap),
-                format_sigma(each.sigma),
-                f"rejected: {describe_rejection(test, unit)}" if test.rejection else "passed",
+                *(wording.format_chi2(chi2) for chi2 in held_out.gap),
+                f"{wording.format_sigma(held_out.sigma)} ({wording.format_sigma(held_out.promised)})",
+                *(wording.format_chi2(chi2) for chi2 in each.gap),
+                wording.format_sigma(each.sigma),
+                f"rejected: {wording.describe_rejection(test, unit)}" if test.rejection else "passed",
             )
         )
     note = (
@@ -216,7 +204,8 @@ def _list_disagreements(
         rows = []
         for one in disagreements[:rows_shown]:
             size = format_number(one.size, 2) if np.isfinite(one.size) and one.size else ""
-            rows.append((describe_disagreement(one, found.base_fit.model), format_sigma(one.sigma), size))
+            where = wording.describe_disagreement(one, found.base_fit.model)
+            rows.append((where, wording.format_sigma(one.sigma), size))
         note = (
             f"Residuals of the {len(found.data.clips)} fitted {found.data.unit}. The significance is corrected for "
             f"{len(disagreements)} tests."
@@ -224,8 +213,9 @@ def _list_disagreements(
         return [PageTable(["disagreement", "significance, sigma", "rms / µm"], rows, note=note)]
     if not disagreements:
         return []
+    worst = wording.format_sigma(disagreements[0].sigma)
     return [
-        f"No significant disagreement{remains} (largest: {format_sigma(disagreements[0].sigma)} sigma, corrected for "
+        f"No significant disagreement{remains} (largest: {worst} sigma, corrected for "
         f"{len(disagreements)} tests; significant is above {found.policy.unexplained_sigma:g}). The test uses the "
         f"{len(found.data.clips)} fitted {found.data.unit}."
     ]

@@ -95,14 +95,6 @@ def _ones(contacts: Contacts) -> Array:
     return np.ones((len(contacts), 1))
 
 
-def _with_speed(contacts: Contacts) -> Array:
-    return np.column_stack([_ones(contacts), contacts.speed_n])
-
-
-def _with_obliqueness(contacts: Contacts) -> Array:
-    return np.column_stack([_ones(contacts), contacts.speed_t / contacts.speed])
-
-
 def _nothing(contacts: Contacts) -> Array:
     return np.zeros((len(contacts), 0))
 
@@ -140,13 +132,13 @@ LAWS: dict[str, tuple[ContactLaw, ...]] = {
         ContactLaw("constant", _ones, (("restitution", "1"),)),
         ContactLaw(
             "changes with the normal speed",
-            _with_speed,
+            lambda contacts: np.column_stack([_ones(contacts), contacts.speed_n]),
             (("restitution of slow contacts", "1"), ("slope", "s/m")),
             ("velocity_restitution",),
         ),
         ContactLaw(
             "changes with the obliqueness",
-            _with_obliqueness,
+            lambda contacts: np.column_stack([_ones(contacts), contacts.speed_t / contacts.speed]),
             (("restitution of head-on contacts", "1"), ("slope with |b|", "1")),
             ("hop", "a wrong line of centres"),
         ),
@@ -273,7 +265,7 @@ class _Fit:
         fit = cls._of(value, std, shared, design, odd)
         while (may_be_odd & ~odd).any():
             one = odd.copy()
-            one[np.argmax(np.where(may_be_odd & ~odd, fit._left_out_squares(), -1.0))] = True
+            one[np.argmax(np.where(may_be_odd & ~odd, fit._leave_out()[0], -1.0))] = True
             other = cls._of(value, std, shared, design, one)
             if other.cost >= fit.cost:
                 break
@@ -306,18 +298,12 @@ class _Fit:
         return float(each.sum()) / (scatter * len(each) ** 0.5) if scatter > 0 else 0.0
 
     def _log_densities(self) -> Array:
-        """Log predictive density of each value by all others; errors that they share do not change their differences.
-
-        The scatter is that of all values.
-        """
+        """Log predictive density of each value by all others; errors that they share leave its differences alone."""
         squares, share = self._leave_out()
         return np.asarray(-0.5 * (squares + np.log(self.variance / share) + ODD_PRICE * self.odd))
 
-    def _left_out_squares(self) -> Array:
-        """Squares of the deviations (n,) of each value from its prediction by all others, over their variances."""
-        return self._leave_out()[0]
-
     def _leave_out(self) -> tuple[Array, Array]:
+        """Squared deviations (n,) of values from their predictions by all others, over the variance; and its share."""
         root = 1 / np.sqrt(self.variance)
         q, _ = np.linalg.qr(self.design * root[:, None])
         share = 1 - np.minimum((q**2).sum(axis=1), 0.999)

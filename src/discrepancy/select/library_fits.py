@@ -251,11 +251,7 @@ def _realistic_starts(
     shares: Sequence[float] = (0.1, 0.3, 1.0),
     count: int = 2,
 ) -> list[ModelFit]:
-    """The best starts with the candidate's single strength at shares of a realistic size, all else after one step.
-
-    A score test cannot lead to a strength at which the tracks have stopped being linear in it. But it tells which
-    values of the shape parameters are worth a try, at most `SearchPolicy.max_shapes_tried` of them.
-    """
+    """The best starts at shares of a realistic strength, where tracks are not linear and no score test leads."""
     candidate = scored.candidate
     if len(candidate.strengths) > 1:
         return []

@@ -158,10 +158,7 @@ class ScoreTests:
 
     @cached_property
     def _products(self) -> tuple[Array, Array, Array]:
-        """Products (K, K) and some rows of all trials' columns less the part of the launches; and full lengths (K,).
-
-        Only the best trial needs more. A second copy of all columns would take more memory than everything else.
-        """
+        """Products (K, K), some rows and lengths (K,) of all columns less the launches' part, without a copy."""
         count, step = self._spans[-1].stop, self._step
         gram, squares, rows, first = np.zeros((count, count)), np.zeros(count), [], 0
         for q, columns in zip(self.fit.linearisation.launch_bases, self._every(), strict=True):
@@ -178,10 +175,7 @@ class ScoreTests:
         return 1 + self.fit.points // 1500
 
     def _against(self, absorbed: Array, left: Array) -> tuple[Array, Array, Array]:
-        """Products of all trials' signatures with themselves (K, K), with `left` (K,), and of columns with `absorbed`.
-
-        `left` and `absorbed` must be orthogonal to the span of the launches.
-        """
+        """Products of signatures with themselves and `left`, and of columns with `absorbed`, both off the launches."""
         cuts = np.cumsum([len(r) for r in self.fit.residuals])[:-1]
         both = np.split(np.column_stack([absorbed, left]), cuts)
         every = np.asarray(sum(b.T @ columns for b, columns in zip(both, self._every(), strict=True)))
@@ -207,10 +201,7 @@ class ScoreTests:
         return {name: count_trials(every) for name, every in by_name.items()}
 
     def _left(self, without: Candidate | None) -> tuple[Array, Array]:
-        """Residuals (points,) and a basis of the shared parameters' span (points, p), both less the launches' part.
-
-        They are those of the fit or, to first order, of the fit without an effect.
-        """
+        """Residuals and a basis of the shared parameters, less the launches' part, with or without an effect."""
         left = self._stacked([r[:, None] for r in self.fit.residuals])[:, 0]
         names = self.fit.names
         gone = [] if without is None else [k for k, n in enumerate(names) if n in without.strengths + without.shapes]
@@ -369,11 +360,7 @@ def _scanned(
     here: Sequence[Array],
     max_numbers: int = 20_000_000,
 ) -> list[CandidateTrial]:
-    """Do `prepare_trial` at many values of the shape parameters at once, by integrals over the motion (`shape_scan`).
-
-    The function keeps the values at which the strengths move any track, or else the first value. With very many clips
-    it tries only some of the values, so that memory holds at most `max_numbers` numbers.
-    """
+    """Do `prepare_trial` at many shapes at once (`shape_scan`), and keep those that move a track."""
     numbers = sum(2 * len(c.frame) for c in evidence.clips) * len(candidate.strengths)
     grid = grid[:: 1 + numbers * len(grid) // max_numbers]
     every = scan_shapes(model, launches, evidence.clips, candidate, grid, here)

@@ -58,10 +58,7 @@ def _log_chi2(fit: ModelFit) -> Array:
 
 
 def _deviations(fit: ModelFit) -> Array:
-    """Deviation of the logarithm of each clip's chi^2 per point from the median, in spreads of the clips or of chance.
-
-    The logarithm is used because a missing effect makes some clips worse than others by factors.
-    """
+    """Each clip's log chi^2 per point less the median, in spreads of clips or of chance: effects act by factors."""
     points, above = np.array([len(r) for r in fit.residuals]), _log_chi2(fit)
     above -= np.median(above)
     spread = 1.4826 * float(np.median(np.abs(above)))

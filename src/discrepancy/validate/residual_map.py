@@ -247,11 +247,7 @@ def _ripple_amplitudes(
 def _ripple_terms(
     clip: MeasuredCollision, path: Array, times: int, min_periods: float = 1.0, order: int = 3
 ) -> tuple[list[tuple[int, int] | None], Array]:
-    """Ball and axis of each term, None for a stretch's polynomials; displacements (n, 2, terms) by a metre of each.
-
-    A stretch of fewer periods looks like a bend, so it does not count. Polynomials of this order are free beside
-    the ripple.
-    """
+    """Ball and axis of each term, None for polynomials; displacements. A part of a period is a bend."""
     stage, _ = find_stages(clip)
     motion = find_motion_directions(clip, stage, path)
     smooth: list[Array] = []
@@ -465,10 +461,7 @@ def _span(columns: Array, besides: Array | None = None, min_share: float = 1e-3)
 
 
 def _rms_size(parts: Sequence[ClipAmplitudes], pulls: Array, noisy: float) -> float:
-    """The rms displacement, um, that makes these pulls, less the noise in the share `noisy` of their directions.
-
-    NaN if it exceeds the residuals so far that the terms of this test and those beside it nearly cancel.
-    """
+    """The rms displacement, um, that makes these pulls, less the noise in this share; NaN if terms cancel."""
     total, rows, first = 0.0, 0, 0
     for g in parts:
         terms = g.metres @ pulls[first : first + len(g.pulls)]

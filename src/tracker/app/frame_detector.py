@@ -11,15 +11,8 @@ import numpy as np
 
 from tracker.camera.frames import Frames
 from tracker.camera.recordings import Recording
+from tracker.detection import detect
 from tracker.detection.choose import select_channel, select_detector
-from tracker.detection.detect import (
-    blank_outside,
-    detector_name,
-    find_detected_point,
-    load_detector,
-    make_view,
-    run_detector,
-)
 from tracker.detection.detector import AnyDetector, View
 from tracker.detection.glints import Glints, PositionFlag
 
@@ -41,7 +34,7 @@ class PreparedDetector:
     @property
     def point(self) -> str:
         """The point that a position gives: "glint" or "centre"."""
-        return find_detected_point(self.name, self.clip.camera)
+        return detect.find_detected_point(self.name, self.clip.camera)
 
     @property
     def radius_px(self) -> float:
@@ -55,11 +48,11 @@ class PreparedDetector:
             if self.view.takes is not None:
                 near = k if self.rows is None else int(np.abs(self.rows - k).argmin())
                 own = min(self._surveyed, key=lambda row: abs(row - near))
-                found = run_detector(self.detector, [(own, np.asarray(self.clip.frames[k]))], self.name).glints
+                found = detect.run_detector(self.detector, [(own, np.asarray(self.clip.frames[k]))], self.name).glints
             else:  # two neighbours show the motion of a glint, and so its blur
                 rows = range(max(k - 1, 0), min(k + 2, len(numbers)))
                 frames = [(int(numbers[row]), np.asarray(self._blanked.frames[row])) for row in rows]
-                found = run_detector(self.detector, frames, self.name).glints
+                found = detect.run_detector(self.detector, frames, self.name).glints
                 found = found.take(found.frame == numbers[k])
         if self.clip.area is not None and len(found):
             size = self.view.camera.size
@@ -69,7 +62,7 @@ class PreparedDetector:
 
     @cached_property
     def _blanked(self) -> Recording:
-        return blank_outside(self.clip, self.view)
+        return detect.blank_outside(self.clip, self.view)
 
     @cached_property
     def _surveyed(self) -> list[int]:
@@ -83,16 +76,16 @@ def prepare_detector(clip: Recording, channel: str | None) -> PreparedDetector:
     selected = select_detector(clip)
     name = selected.name
     rows, surveyed = None, clip
-    if find_detected_point(name, clip.camera) == "centre" and len(clip.frames) > MAX_SURVEYED_FRAMES:
+    if detect.find_detected_point(name, clip.camera) == "centre" and len(clip.frames) > MAX_SURVEYED_FRAMES:
         rows = np.linspace(0, len(clip.frames) - 1, MAX_SURVEYED_FRAMES).round().astype(np.int64)
         surveyed = replace(clip, frames=clip.frames.take(rows), balls=())
-    view = make_view(surveyed, name)
+    view = detect.make_view(surveyed, name)
     notes = tuple(note for note in (chosen, selected.why) if note)
-    detector = load_detector(name)(view)
+    detector = detect.load_detector(name)(view)
     for frames in (clip.frames, view.frames):
         if isinstance(frames, Frames):
             frames.forget()  # up to 600 MB, of a survey that is over
-    return PreparedDetector(clip, view, detector_name(name), detector, notes, rows)
+    return PreparedDetector(clip, view, detect.detector_name(name), detector, notes, rows)
 
 
 def list_balls(found: Glints) -> list[dict[str, Any]]:

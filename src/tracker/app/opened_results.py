@@ -27,17 +27,8 @@ from tracker.camera.recordings import RecordingSource, open_source, read_ends
 from tracker.detection.link import Tracks
 from tracker.edits import TrackEdits
 from tracker.measurement.collision.adequacy import NO_DIAMETER, NOTHING_ROLLS, TOGETHER
+from tracker.report import estimates_text as text
 from tracker.report.collision_figures import list_residuals, view_collision
-from tracker.report.estimates_text import (
-    METHODS,
-    OF_ONE_BALL,
-    describe_recommendation,
-    describe_rolling,
-    describe_status,
-    has_values,
-    list_quantities,
-    order_methods,
-)
 from tracker.report.pages import PAGE
 from tracker.results import RUN, rows_as_dicts
 
@@ -156,20 +147,20 @@ def list_columns(tracks: Tracks, camera: Camera, metres: NDArray[Any]) -> list[d
 
 
 def _describe_collision(row: Mapping[str, Any]) -> dict[str, Any]:
-    measured = has_values(row) or row["status"] == TOGETHER
+    measured = text.has_values(row) or row["status"] == TOGETHER
     is_collision = measured or row.get("frame_last", -1) >= 0
-    lines = list_quantities(row, QUANTITIES if measured else OF_ONE_BALL)
+    lines = text.list_quantities(row, QUANTITIES if measured else text.OF_ONE_BALL)
     rows = [
         [line.quantity.plain_symbol, line.values[0], line.quantity.unit, line.quantity.meaning]
         for line in lines
         if line.values[0] != NOT_KNOWN
     ]
-    why = describe_recommendation(row) or describe_rolling(row)
+    why = text.describe_recommendation(row) or text.describe_rolling(row)
     return {
         "title": f"Collision {row['collision']}" if is_collision else "Film",
-        "status": describe_status(row),
+        "status": text.describe_status(row),
         "why": NEXT_STEP if row["status"] in UNMEASURED and not rows else why,
-        "method": METHODS[next(iter(order_methods(row)))] if measured else "one rolling ball",
+        "method": text.METHODS[next(iter(text.order_methods(row)))] if measured else "one rolling ball",
         "rows": rows,
     }
 

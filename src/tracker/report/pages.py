@@ -35,33 +35,8 @@ from tracker.measurement.crowd.contact_table import summarise_contacts, tabulate
 from tracker.measurement.local.recommendation import find_recommended_suffix
 from tracker.measurement.messages import list_messages
 from tracker.notes import Note
-from tracker.report.collision_figures import (
-    CollisionView,
-    draw_all_tracks,
-    draw_energy,
-    draw_residuals,
-    draw_separation,
-    draw_speeds,
-    draw_tracks,
-    list_residuals,
-    view_collision,
-)
-from tracker.report.estimates_text import (
-    describe_contact,
-    describe_contact_count,
-    describe_fit,
-    describe_frames,
-    describe_recommendation,
-    describe_rolling,
-    describe_status,
-    describe_velocities,
-    explain_dashes,
-    format_value,
-    is_extrapolated,
-    is_straight,
-    list_quantities,
-    order_methods,
-)
+from tracker.report import collision_figures as figures
+from tracker.report import estimates_text as text
 from tracker.report.overlay import Overlay, choose_frames, encode_mp4
 from tracker.report.quantities import QUANTITIES
 from tracker.report.refusals import REFUSALS
@@ -108,7 +83,7 @@ class RecordingPage:
     def write(self, folder: Path, command: str) -> Path:
         """Write FOLDER/index.html, and FOLDER/overlay.mp4, the film that it also holds; return the path of the page."""
         fitted = [row for row in self.rows if row["status"] != CROWD]
-        views = [view_collision(row, self.tracks, self.camera) for row in fitted]
+        views = [figures.view_collision(row, self.tracks, self.camera) for row in fitted]
         results_tables = [block for row in fitted for block in self._results(row)]
         titles = [f"Collision {row['collision']}" for row in fitted]
         sections = [
@@ -121,7 +96,7 @@ class RecordingPage:
             PageSection("Whole recording", self._overview()),
             PageSection("Camera settings used", [self._camera_table()]),
         ]
-        summary = [] if self.contacts.empty else [describe_contact_count(self.contacts)]
+        summary = [] if self.contacts.empty else [text.describe_contact_count(self.contacts)]
         summary += [self._describe(row) for row in fitted]
         estimates = pd.DataFrame([{"clip": 0, **row} for row in self.rows])
         warnings = [*map(str, list_messages(estimates)), *map(str, self.notes)]
@@ -162,7 +137,7 @@ class RecordingPage:
         return [*([shared] if means else []), PageTable([*heads, "estimate"], rows, title)]
 
     def _how_to_read(self) -> str:
-        straight = [str(row["collision"]) for row in self.collisions if is_straight(row)]
+        straight = [str(row["collision"]) for row in self.collisions if text.is_straight(row)]
         which = f" of collision {', '.join(straight)}" if len(self.rows) > 1 else ""
         lines = f"Both fits{which} are straight lines after the contact, without a law of friction." if straight else ""
         models = MODELS if len(straight) < len(self.collisions) or not straight else ""
@@ -175,9 +150,9 @@ class RecordingPage:
         )
 
     def _describe(self, row: Mapping[str, Any]) -> str:
-        number = f"Collision {row['collision']}{describe_frames(row)}: " if len(self.rows) > 1 else ""
-        parts = [describe_status(row), describe_recommendation(row), describe_velocities(row)]
-        parts += [describe_contact(row), describe_rolling(row), describe_fit(row)]
+        number = f"Collision {row['collision']}{text.describe_frames(row)}: " if len(self.rows) > 1 else ""
+        parts = [text.describe_status(row), text.describe_recommendation(row), text.describe_velocities(row)]
+        parts += [text.describe_contact(row), text.describe_rolling(row), text.describe_fit(row)]
         return number + " ".join(f"{part}." for part in parts if part)
 
     def _refusals(self, folder: Path) -> PageSection:
@@ -189,14 +164,14 @@ class RecordingPage:
     def _results(self, row: Mapping[str, Any]) -> list[Block]:
         rows = [
             (typeset_symbol(q.symbol), q.meaning, q.unit, *values, Markup("<code>{}</code>").format(name))
-            for name, q, values in list_quantities(row)
+            for name, q, values in text.list_quantities(row)
         ]
         title = f"Collision {row['collision']}" if len(self.rows) > 1 else ""
         if not rows:
             return []
-        reasons = [f"– {reason}." for reason in explain_dashes(row)]
-        methods = order_methods(row)
-        late = [n for n in QUANTITIES if f"{n}_std" in row and is_extrapolated(row, n, "")]
+        reasons = [f"– {reason}." for reason in text.explain_dashes(row)]
+        methods = text.order_methods(row)
+        late = [n for n in QUANTITIES if f"{n}_std" in row and text.is_extrapolated(row, n, "")]
         if late and "" in methods:
             reasons.append(
                 f"Extrapolated in the tied fit, because a ball slides for longer than it is seen: {', '.join(late)}."
@@ -204,7 +179,7 @@ class RecordingPage:
         table = PageTable(["symbol", "quantity", "unit", *methods.values(), "column"], rows, title)
         return [table, *([" ".join(reasons)] if reasons else [])]
 
-    def _film(self, folder: Path, views: Sequence[CollisionView | None]) -> str:
+    def _film(self, folder: Path, views: Sequence[figures.CollisionView | None]) -> str:
         if self.frames is None:
             return "The tracks came without a film."
         numbers = self.frames.numbers
@@ -220,9 +195,11 @@ class RecordingPage:
             render(template, film=make_data_uri(film, "video/mp4"), outlined=self.camera.knows_diameter, **values)
         )
 
-    def _list_frames(self, first: int, last: int, views: Sequence[CollisionView | None]) -> list[dict[str, Any]]:
+    def _list_frames(
+        self, first: int, last: int, views: Sequence[figures.CollisionView | None]
+    ) -> list[dict[str, Any]]:
         """List for each frame of the film the balls: position, errors, light, residuals (µm) and flags."""
-        residuals = list_residuals(views)
+        residuals = figures.list_residuals(views)
         tracks, steps = self.tracks, []
         shown = self.frames.numbers[first : last + 1] if self.frames is not None else range(first, last + 1)
         for k in map(int, shown):
@@ -236,10 +213,10 @@ class RecordingPage:
             steps.append({"frame": k, "balls": balls})
         return steps
 
-    def _figures(self, view: CollisionView | None) -> list[Block]:
+    def _figures(self, view: figures.CollisionView | None) -> list[Block]:
         if view is None:
             return []
-        tracks = PageFigure.of(draw_tracks(view), "Tracks of both balls", CAPTIONS["tracks"])
+        tracks = PageFigure.of(figures.draw_tracks(view), "Tracks of both balls", CAPTIONS["tracks"])
         if not view.is_instantaneous:
             return [tracks]
         residuals = (
@@ -248,19 +225,19 @@ class RecordingPage:
         )
         return [
             tracks,
-            PageFigure.of(draw_residuals(view), "Residuals of the tied fit", residuals),
-            PageFigure.of(draw_separation(view), "Separation of the balls", CAPTIONS["separation"]),
-            PageFigure.of(draw_energy(view, self.tracks), "Translational energy", CAPTIONS["energy"]),
+            PageFigure.of(figures.draw_residuals(view), "Residuals of the tied fit", residuals),
+            PageFigure.of(figures.draw_separation(view), "Separation of the balls", CAPTIONS["separation"]),
+            PageFigure.of(figures.draw_energy(view, self.tracks), "Translational energy", CAPTIONS["energy"]),
         ]
 
     def _overview(self) -> list[Block]:
         blocks: list[Block] = []
         if len(self.motion):
-            figure = draw_speeds(self.motion, [float(row["t_c"]) for row in self.collisions])
+            figure = figures.draw_speeds(self.motion, [float(row["t_c"]) for row in self.collisions])
             caption = "Speed of each ball, from differences of neighbouring frames."
             blocks.append(PageFigure.of(figure, "Speed against time", caption))
         if len(self.tracks):
-            figure = draw_all_tracks(self.tracks, self.camera)
+            figure = figures.draw_all_tracks(self.tracks, self.camera)
             blocks.append(PageFigure.of(figure, "All tracks", "All tracks in the picture."))
         return blocks
 
@@ -333,7 +310,7 @@ class ResultPages:
         for row in rows_as_dicts(estimates):
             link = Markup('<a href="clips/{}/index.html">{}</a>').format(f"{row['clip']:06d}", row["clip"])
             quality = f"{row['chi2'] / row['dof']:.3g}" if row["dof"] else ""
-            values = [format_value(row, f"{name}{find_recommended_suffix(row)}") for name in names]
+            values = [text.format_value(row, f"{name}{find_recommended_suffix(row)}") for name in names]
             state = (row["collision"], row["status"], row.get("recommended", ""), quality)
             rows.append((link, *state, *values, row["flags"].replace("|", ", ")))
         known = [QUANTITIES[name] for name in names]

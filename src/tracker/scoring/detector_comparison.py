@@ -41,7 +41,8 @@ def compare(
         (report / "results").mkdir(exist_ok=True)
         scores = []
         for k, name in enumerate(chosen):
-            scores.append(_track_and_score(dataset, name, report, partial(_report_progress, progress, k, len(chosen))))
+            show = partial(lambda k, done, clips: progress(k * clips + done, len(chosen) * clips), k)
+            scores.append(_track_and_score(dataset, name, report, show))
         whole = scores[0].to_dict()
         for other in scores[1:]:
             whole["detectors"] |= other.to_dict()["detectors"]
@@ -53,10 +54,6 @@ def compare(
         write_page(report / "index.html", "Comparison of detectors", sections, "tracker compare", [summary])
         results.write_json(report / "score.json", whole)
     return whole
-
-
-def _report_progress(progress: Progress, k: int, of: int, done: int, clips: int) -> None:
-    progress(k * clips + done, of * clips)
 
 
 def _track_and_score(dataset: Path, name: str, report: Path, progress: Progress) -> DetectorScore:

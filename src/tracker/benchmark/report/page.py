@@ -11,15 +11,7 @@ from markupsafe import Markup
 
 from synthcam_shared.report.numbers import format_number
 from synthcam_shared.report.page import Block, PageFigure, PageSection, PageTable, write_page
-from tracker.benchmark.report.figures import (
-    DEFECTS,
-    draw_defects,
-    draw_errors_by_setting,
-    draw_headline,
-    draw_published_quantities,
-    make_cell,
-    name_tracker,
-)
+from tracker.benchmark.report import figures
 from tracker.benchmark.report.leaderboard import make_leaderboard_row
 from tracker.benchmark.suite.definition import SuiteDefinition
 from tracker.benchmark.suite.make import CITATION
@@ -92,8 +84,13 @@ def _headline(entries: Entries, definition: SuiteDefinition) -> list[Block]:
     for entry in entries:
         good, bad = describe_performance(entry, definition)
         line = make_leaderboard_row(0, entry)
-        rows.append([name_tracker(entry), format_number(line["score"]), good, bad, format_number(line["ms_per_frame"])])
-    return [PageFigure.of(draw_headline(entries, definition), "Trackers by setting", caption), PageTable(heads, rows)]
+        rows.append(
+            [figures.name_tracker(entry), format_number(line["score"]), good, bad, format_number(line["ms_per_frame"])]
+        )
+    return [
+        PageFigure.of(figures.draw_headline(entries, definition), "Trackers by setting", caption),
+        PageTable(heads, rows),
+    ]
 
 
 def _axes(entries: Entries, definition: SuiteDefinition) -> PageFigure:
@@ -102,7 +99,7 @@ def _axes(entries: Entries, definition: SuiteDefinition) -> PageFigure:
         "is the bound; for locking to pixels it is zero error."
     )
     title = "Error against brightness, blur, noise, codec, lens, gap between the balls and phase within the pixel"
-    return PageFigure.of(draw_errors_by_setting(entries, definition), title, caption)
+    return PageFigure.of(figures.draw_errors_by_setting(entries, definition), title, caption)
 
 
 def _publication_figures(entries: Entries, definition: SuiteDefinition) -> list[Block]:
@@ -113,7 +110,7 @@ def _publication_figures(entries: Entries, definition: SuiteDefinition) -> list[
             "together). Green: correct within two error bars. Yellow: off by up to four. Red: off by more. Grey: "
             "nothing to publish."
         )
-        figure = draw_published_quantities(entries, part, PUBLISHED)
+        figure = figures.draw_published_quantities(entries, part, PUBLISHED)
         blocks.append(PageFigure.of(figure, f"Published values, {part}", caption))
     return blocks
 
@@ -121,7 +118,7 @@ def _publication_figures(entries: Entries, definition: SuiteDefinition) -> list[
 def _defects(entries: Entries) -> list[Block]:
     blocks: list[Block] = []
     for suffix, method in (("_free", "Free fit"), ("", "Tied fit")):
-        figure = draw_defects(entries, SHIFTED, suffix)
+        figure = figures.draw_defects(entries, SHIFTED, suffix)
         caption = (
             f"{method}: true tracks with one defect of this tracker and no other. At the dotted line a defect moves "
             "the result of one collision by its error bar at the bound. A shift that all collisions share does not "
@@ -179,7 +176,7 @@ def describe_performance(
         scores = entry["parts"].get(part)
         if scores is None:
             continue
-        text, value = make_cell(scores)
+        text, value = figures.make_cell(scores)
         if scores["ratio"] is None and value is not None:
             continue
         judged += 1
@@ -208,7 +205,7 @@ def make_benchmark_tables(entries: Entries, definition: SuiteDefinition) -> list
         rows = []
         for entry in entries:
             values = (entry["parts"].get(part, {}).get(key) for part in definition.parts)
-            rows.append([name_tracker(entry), *(format_number(value, digits) for value in values)])
+            rows.append([figures.name_tracker(entry), *(format_number(value, digits) for value in values)])
         tables.append(PageTable(["tracker", *definition.parts], rows, title))
     for part in definition.parts_of("measured"):
         for suffix, method in (("", "tied fit"), ("_free", "free fit")):
@@ -221,7 +218,7 @@ def make_benchmark_tables(entries: Entries, definition: SuiteDefinition) -> list
 def _quantity_table(entries: Entries, part: str, suffix: str, title: str) -> PageTable:
     rows = []
     for entry in entries:
-        cells = [name_tracker(entry)]
+        cells = [figures.name_tracker(entry)]
         for name in PUBLISHED:
             q = entry["quantities"].get(part, {}).get(f"{name}{suffix}") or {}
             rmse = None if q.get("rmse") is None else q["rmse"] * QUANTITIES[name].error_factor
@@ -233,12 +230,12 @@ def _quantity_table(entries: Entries, part: str, suffix: str, title: str) -> Pag
 
 def _defect_table(entries: Entries) -> PageTable:
     heads = ["tracker", "locking, px", "glint, share", "lost, share"]
-    heads += [f"{word}: {name}" for word in DEFECTS.values() for name in SHIFTED]
+    heads += [f"{word}: {name}" for word in figures.DEFECTS.values() for name in SHIFTED]
     rows = []
     for entry in entries:
         found = entry["defects"]
-        cells = [name_tracker(entry), *(format_number(found["size"][defect], 2) for defect in DEFECTS)]
-        for defect in DEFECTS:
+        cells = [figures.name_tracker(entry), *(format_number(found["size"][defect], 2) for defect in figures.DEFECTS)]
+        for defect in figures.DEFECTS:
             for name in SHIFTED:
                 one = found[defect].get(f"{name}_free") or {}
                 bias = None if one.get("bias") is None else one["bias"] * QUANTITIES[name].error_factor
