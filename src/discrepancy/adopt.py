@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from discrepancy.free_laws.formula import CONSTANT, FormulaTerm, LawShape, iterate_shapes
 from discrepancy.free_laws.library import list_free_laws as free_laws
 from discrepancy.free_laws.ranges import Axis
-from discrepancy.free_laws.shapes import CONSTANT, FormulaTerm, LawShape, iterate_shapes
 from synthcam.effect import VECTOR_INPUTS
 from synthcam.library import check_name
 from synthcam.model import Model, list_model_settings, read_model, to_yaml

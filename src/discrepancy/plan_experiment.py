@@ -15,9 +15,8 @@ import pandas as pd
 from discrepancy.fitting.parameters import list_candidates
 from discrepancy.planning import compare
 from discrepancy.planning.changes import CHANGES
-from discrepancy.planning.from_scene import SceneExperiment, design_experiment
+from discrepancy.planning.experiment import SceneExperiment, design_experiment
 from discrepancy.planning.limits import Signatures, StrengthLimits, count_draws, median_limits
-from discrepancy.planning.pair_advice import AS_FILMED, ComparedDesign, advise_on_pair
 from discrepancy.planning.plan_result import IndistinguishablePair, PlanResult
 from discrepancy.report import plan_page
 from synthcam.library import library
@@ -287,9 +286,9 @@ def _pairs_with_advice(
     out = []
     for pair in compare.indistinguishable_pairs(found, chosen):
         tries = [
-            ComparedDesign(AS_FILMED, compare.largest_cosine(before, pair)),
-            *(ComparedDesign(t.words, compare.largest_cosine(t.limits, pair)) for t in after),
+            compare.ComparedDesign(compare.AS_FILMED, compare.cosine_of_pair(before, pair)),
+            *(compare.ComparedDesign(t.words, compare.cosine_of_pair(t.limits, pair)) for t in after),
         ]
-        advice = advise_on_pair(known[pair[0]], known[pair[1]], tries) if after else ""
-        out.append(IndistinguishablePair(pair, compare.largest_cosine(found, pair), advice))
+        advice = compare.advise_on_pair(known[pair[0]], known[pair[1]], tries) if after else ""
+        out.append(IndistinguishablePair(pair, compare.cosine_of_pair(found, pair), advice))
     return tuple(out)

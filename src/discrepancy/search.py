@@ -24,7 +24,7 @@ from discrepancy.fitting.stretch_scatter import fit_scatter
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary, tabulate_and_refit
 from discrepancy.outcome import Verdict, decide_verdict, more_is_missing
-from discrepancy.planning.pair_advice import advise_on_pair, compare_designs
+from discrepancy.planning.compare import advise_on_pair, compare_designs
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy
 from discrepancy.preparation import SearchData, prepare_data
 from discrepancy.results import SearchResult

@@ -30,8 +30,15 @@ from tracker.detection.own_detector import digest_detector, is_outside_detector
 from tracker.edits import EditsSource, TrackEdits
 from tracker.notes import Note, NoteKind, make_notes
 from tracker.recording import Result, check_edits, measure_tracks, track_and_measure
-from tracker.report.misfits import MISFITS, draw_misfit, is_misfit_clip
-from tracker.report.refusals import REFUSALS, NotedPicture, draw_refusals, is_refused_clip
+from tracker.report.refusals import (
+    MISFITS,
+    REFUSALS,
+    NotedPicture,
+    draw_misfit,
+    draw_refusals,
+    is_misfit_clip,
+    is_refused_clip,
+)
 from tracker.settings import SettingsSource, TrackerSettings
 from tracker.tables.read import read_tracks
 from tracker.tables.table_options import DEFAULT_TABLE_OPTIONS, TableOptions

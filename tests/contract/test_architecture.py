@@ -98,7 +98,7 @@ LAYERS = {
         "law_kinds",
         "laws",
         "library marginal_likelihood",
-        "fitted_law shapes",
+        "fitted_law",
         "credible_band formula",
         "law_summary",
     ],

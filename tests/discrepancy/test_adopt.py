@@ -15,9 +15,9 @@ from report_pages import undrawn
 
 from discrepancy.adopt import ParameterValue, adopt, render_formula_effect, render_table_effect
 from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.free_laws.formula import iterate_shapes
 from discrepancy.free_laws.library import list_free_laws as free_laws
 from discrepancy.free_laws.ranges import Axis
-from discrepancy.free_laws.shapes import iterate_shapes
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.report import search_page
 from synthcam.effect import LAWS, VECTOR_INPUTS

@@ -4,7 +4,7 @@ from functools import cache
 
 from discrepancy_clips import only
 
-from discrepancy.planning.from_scene import design_experiment
+from discrepancy.planning.experiment import design_experiment
 from synthcam.model import model_file
 from synthcam.scene.scene import Scene, scene_file
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from discrepancy.data.launch import V0, B
 from discrepancy.planning.compare import ChangeGain, ChangeLimits, CollisionsNeeded
-from discrepancy.planning.from_scene import SceneExperiment
+from discrepancy.planning.experiment import SceneExperiment
 from discrepancy.planning.limits import StrengthLimits
 
 MIN_USEFUL_GAIN = 1.05  # a change that lowers limits by a smaller factor is not recommended

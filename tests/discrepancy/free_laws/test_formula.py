@@ -12,9 +12,8 @@ from discrepancy_selected import challenged
 
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
-from discrepancy.free_laws.formula import _ShapeFitter, _write_sum, propose_formula
+from discrepancy.free_laws.formula import _ShapeFitter, _write_sum, iterate_shapes, propose_formula
 from discrepancy.free_laws.library import free_laws_over
-from discrepancy.free_laws.shapes import iterate_shapes
 from discrepancy.noise.model import Noise, NoiseComponent
 from synthcam.model import Model
 

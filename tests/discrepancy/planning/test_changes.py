@@ -8,7 +8,7 @@ from discrepancy_plans import scene, small
 
 from discrepancy.data.launch import V0
 from discrepancy.planning.changes import CHANGES, TOGETHER, apply_change
-from discrepancy.planning.from_scene import design_experiment
+from discrepancy.planning.experiment import design_experiment
 
 CHANGE = {c.name: c for c in (*CHANGES, TOGETHER)}
 

@@ -8,9 +8,9 @@ import pytest
 from discrepancy.planning.compare import (
     ChangeLimits,
     compute_gain_of_change,
+    cosine_of_pair,
     count_collisions_needed,
     indistinguishable_pairs,
-    largest_cosine,
 )
 from discrepancy.planning.limits import Rival, StrengthLimits
 
@@ -44,8 +44,8 @@ def test_an_effect_that_no_longer_shows_is_not_parted_but_hidden():
 def test_pairs_are_of_those_asked_for():
     assert indistinguishable_pairs(BEFORE, ["one"]) == (("one", "two"),)
     assert indistinguishable_pairs(BEFORE, ["three"]) == ()
-    assert largest_cosine(BEFORE, ("one", "two")) == 0.95
-    assert largest_cosine(BEFORE, ("one", "three")) == 1.0
+    assert cosine_of_pair(BEFORE, ("one", "two")) == 0.95
+    assert cosine_of_pair(BEFORE, ("one", "three")) == 1.0
 
 
 @pytest.mark.parametrize(("wanted", "clips"), [(0.1, 40), (0.2, 10), (0.05, 160), (0.001, 400_000), (1.0, 6)])

@@ -8,7 +8,7 @@ from discrepancy_clips import collisions
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.noise.model import estimate_noise
-from discrepancy.planning.pair_advice import ComparedDesign, advise_on_pair, compare_designs
+from discrepancy.planning.compare import ComparedDesign, advise_on_pair, compare_designs
 from synthcam.model import Model
 
 CANDIDATES = {s.name: s for s in list_candidates(Model(), BASE_PARAMETERS)}

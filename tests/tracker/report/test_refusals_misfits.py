@@ -15,7 +15,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.recording import Result, measure_tracks
 from tracker.report.collision_figures import CollisionView
-from tracker.report.misfits import MISFITS, draw_misfit, is_misfit_clip
+from tracker.report.refusals import MISFITS, draw_misfit, is_misfit_clip
 
 
 @pytest.fixture(scope="module")

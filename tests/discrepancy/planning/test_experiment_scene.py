@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from discrepancy_plans import scene, small
 
-from discrepancy.planning.from_scene import design_experiment
+from discrepancy.planning.experiment import design_experiment
 from synthcam_shared.errors import InputError
 
 
