@@ -324,7 +324,7 @@ def beside_law(monkeypatch, sigma=30.0, less=500.0, others=(), from_zero=9.0):
     library = Made(absorbed=(), evidence=None, required_sigma=4.0, correct_for_trials=lambda effect, sigma: sigma)
     level = SearchPolicy().beside_free_law_sigma
     selected = selection(base=base, free_law=law)
-    (test, _), without, claims = claim_tests._test_beside_law(selected, law, library, HELD_OUT, level)
+    (test, _), without, claims = claim_tests._test_beside_law(selected, library, HELD_OUT, level)
     return test, without["rolling_quadratic"].free_law, claims[0].aliases
 
 

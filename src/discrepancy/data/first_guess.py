@@ -135,16 +135,7 @@ def guess_spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -
 
     The tracker's spin is taken where its fit holds, or fails only because the claimed errors are too small. In other
     clips the deceleration decides. A striker that slows down as a sliding ball does is taken to slide, with a slip
-    of a fifth of its speed. Any other is taken to roll.
-
-    Parameters
-    ----------
-    row : mapping
-        Of the tracker's estimates.
-    heading, v0 : float
-        rad, m/s.
-    pull : (2,) array
-        The striker's acceleration before the contact, m/s^2.
+    of a fifth of its speed. Any other is taken to roll. pull (2,): its acceleration before the contact, m/s^2.
     """
     ahead = np.array([np.cos(heading), np.sin(heading)])
     axes = np.stack([ahead, [-ahead[1], ahead[0]]])

@@ -398,12 +398,13 @@ def validate(selection: Selection, library: LibraryFits, held_out: HeldOutClips)
     rejected: list[ClaimTest] = []
     while True:
         law, level = selection.free_law, library.required_sigma
-        if law or any(test.is_free_law for test in rejected) or _leaves_something(selection, library, held_out.noise):
-            level = max(level, current_policy().beside_free_law_sigma)
-        if law:
-            tests, without, claims = _test_beside_law(selection, law, library, held_out, level)
-        else:
-            tests, without, claims = _test_effects(selection, library, held_out, level)
+        is_unsure = law or any(test.is_free_law for test in rejected)
+        if selection.state and not is_unsure:
+            left = find_disagreements(library.evidence.clips, selection.best, held_out.noise)
+            is_unsure = is_unexplained(left, current_policy())
+        level = max(level, current_policy().beside_free_law_sigma) if is_unsure else level
+        test_claims = _test_beside_law if law else _test_effects
+        tests, without, claims = test_claims(selection, library, held_out, level)
         failed = [test for test in tests if test.rejection]
         if not failed:
             passed = {test.name for test in tests}  # a claim that failed beside another may pass without it
@@ -413,13 +414,6 @@ def validate(selection: Selection, library: LibraryFits, held_out: HeldOutClips)
         if worst.rejection and not worst.rejection.leaves_nothing_missing:
             rejected.append(worst)
         selection = without[worst.name]
-
-
-def _leaves_something(selection: Selection, library: LibraryFits, noise: Noise) -> bool:
-    """Tell if the search selected effects and the residuals still hold a significant disagreement."""
-    if not selection.state:
-        return False
-    return is_unexplained(find_disagreements(library.evidence.clips, selection.best, noise), current_policy())
 
 
 def judge_claim(
@@ -468,11 +462,10 @@ def _test_effects(selection: Selection, library: LibraryFits, held_out: HeldOutC
     return tests, without, claims
 
 
-def _test_beside_law(
-    selection: Selection, free_law: FittedLaw, library: LibraryFits, held_out: HeldOutClips, level: float
-) -> Tested:
+def _test_beside_law(selection: Selection, library: LibraryFits, held_out: HeldOutClips, level: float) -> Tested:
     """Test a free law and each effect beside it."""
-    tests, without, claims = [], dict[str, Selection](), []
+    free_law, tests, without, claims = selection.free_law, [], dict[str, Selection](), []
+    assert free_law is not None
     whole, base, evidence = free_law.joint_fit, selection.base, library.evidence
     with_, residuals = held_out.fit_with_law(free_law), leave_one_out_with_law(free_law)
     jackknife = Jackknife.of(whole, free_law.prior.precision)
@@ -499,14 +492,14 @@ def _test_beside_law(
         test = ClaimTest(effect, claim.sigma, *predictions, rejection, shape_at_limit=claim.shape_at_limit())
         tests.append(replace(test, from_zero=from_zero))
     without[free_law.law.name] = replace(selection, free_law=None)
-    predictions = _predict_with_law(selection, free_law, library, held_out, (with_, residuals))
+    predictions = _predict_with_law(selection.base, free_law, library, held_out, (with_, residuals))
     rejection = judge_predictions(*predictions)
     tests.append(ClaimTest(free_law.law.name, free_law.sigma, *predictions, rejection, is_free_law=True))
     return tests, without, tuple(claims)
 
 
 def _predict_with_law(
-    selection: Selection,
+    base: ModelFit,
     free_law: FittedLaw,
     library: LibraryFits,
     held_out: HeldOutClips,
@@ -524,7 +517,7 @@ def _predict_with_law(
     gain, promised, std = validate_clip_numbers(free_law, held_out.clips, without, held_out.noise)
     before, std = without.chi2 / without.points, max(std, 1e-9)
     unseen = HeldOutTest((before, before - gain / without.points), gain / std, promised / std)
-    gain += compute_cost(empty, selection.base) - free_law.score  # in the clips fitted
+    gain += compute_cost(empty, base) - free_law.score  # in the clips fitted
     return unseen, HeldOutTest((before, before - gain / without.points), own, own)
 
 

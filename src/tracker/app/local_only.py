@@ -53,7 +53,7 @@ class LocalOnly:
         elif scope["method"] not in ("GET", "HEAD"):
             response = self._refuse_foreign(headers)
 
-        def finish(message: Message) -> None:
+        async def send_finished(message: Message) -> None:
             if message["type"] == "http.response.start":
                 out = MutableHeaders(scope=message)
                 out["Content-Security-Policy"] = REPORT if path.startswith("/report/") else OWN_PAGE
@@ -61,9 +61,6 @@ class LocalOnly:
                 out["Referrer-Policy"] = "no-referrer"
                 out["Cross-Origin-Resource-Policy"] = "same-origin"
                 out.setdefault("Cache-Control", "no-store")
-
-        async def send_finished(message: Message) -> None:
-            finish(message)
             await send(message)
 
         await (response or self.app)(scope, receive, send_finished)

@@ -289,7 +289,8 @@ class SearchedResiduals:
                 metres = np.full((len(tracks), 2), np.nan)
                 metres[rows] = kept[[f"x_{key}", f"y_{key}"]]
                 shown = list_columns(tracks, camera, metres)
-                out.append({"name": name, "rms_um": _rms_um(metres), "tracks": shown})
+                rms = None if np.isnan(metres).all() else float(f"{1e6 * np.sqrt(np.nanmean(metres**2)):.3g}")
+                out.append({"name": name, "rms_um": rms, "tracks": shown})
         return {"clip": number, "models": out, "held_out": bool(table["held_out"].any())}
 
     def _read(self, number: int) -> pd.DataFrame:
@@ -298,12 +299,6 @@ class SearchedResiduals:
             return pd.read_parquet(file, filters=[("clip", "==", number)])
         except (OSError, ValueError) as error:
             raise InputError(f"{file}: expected the residuals of a search ({type(error).__name__})") from None
-
-
-def _rms_um(metres: NDArray[Any]) -> float | None:
-    if np.isnan(metres).all():
-        return None
-    return float(f"{1e6 * np.sqrt(np.nanmean(metres**2)):.3g}")
 
 
 def _find_rows(tracks: Tracks, metres: NDArray[Any], table: pd.DataFrame) -> NDArray[np.int64]:

@@ -49,8 +49,7 @@ class RunSettings(Settings):
 
         Raises InputError for a scale without a rate, and the reverse.
         """
-        names = ("scale", "scale_std", "fps", "ball_diameter", "exposure")
-        own = {name: value for name in names if (value := getattr(self, name)) is not None}
+        own = {name: value for name in FIELDS if (value := getattr(self, name)) is not None}
         if not own:
             return dict(given) if given is not None else None
         kept = dict(given or {"size": list(size)})

@@ -39,7 +39,9 @@ class ScenePreviews:
             if self._closed:
                 raise InputError("make: closed")
             if self._child is None:
-                self._start()
+                self._messages = tempfile.TemporaryFile("w+")  # noqa: SIM115  # a pipe that nobody empties would stop it
+                pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": self._messages}
+                self._child = subprocess.Popen(self._program, **pipes, text=True, start_new_session=True)
             line = self._exchange(json.dumps(request))
             if not line:
                 raise InputError(self._end())
@@ -47,17 +49,6 @@ class ScenePreviews:
         if "error" in answer:
             raise InputError(answer["error"])
         return answer
-
-    def _start(self) -> None:
-        self._messages = tempfile.TemporaryFile("w+")  # noqa: SIM115  # a pipe that nobody empties would stop the child
-        self._child = subprocess.Popen(
-            self._program,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._messages,
-            text=True,
-            start_new_session=True,
-        )
 
     def _exchange(self, line: str) -> str:
         """The child's answer to a line; "" where it has ended."""

@@ -133,8 +133,9 @@ class TrackProcess:
                     self._set(replace(self.status, lines=lines))
             code = child.wait()
             printed.seek(0)
-            text = printed.read()
-        summary = _read_summary(text)
+            summary: Any = None
+            with suppress(ValueError):  # it printed anything else than JSON, as after a plug-in that prints
+                summary = json.loads(printed.read())
         if code == 0 and summary is not None:
             self._finish(replace(self.status, state="done", summary=summary))
         elif self._cancelled:
@@ -152,11 +153,3 @@ class TrackProcess:
             said = f"{error}" if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
             status = replace(status, state="failed", error=said)
         self._set(status)
-
-
-def _read_summary(text: str) -> Any:
-    """The JSON that the command printed; None if it printed anything else, as after a plug-in that prints."""
-    try:
-        return json.loads(text)
-    except ValueError:
-        return None

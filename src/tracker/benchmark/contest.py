@@ -45,10 +45,9 @@ def run_contest(
     """Run trackers on a suite, score them, and write the leaderboard and the page.
 
     The suite has its truth, which no tracker gets. Earlier entries of the report stay. `names` are separated by commas;
-    the default is the list of the suite. `how` is the command that made the page. `progress` takes the number of
-    finished steps and of all steps. `scheduler` is the address of a Dask scheduler, whose workers see the same folders
-    and have the same packages. Returns all entries of the report, the best first, and a line for each tracker that was
-    left out. Raises InputError.
+    the default is the list of the suite. `how` is the command that made the page. The workers of a Dask `scheduler` see
+    the same folders and have the same packages. Returns all entries of the report, the best first, and a line for each
+    tracker that was left out. Raises InputError.
     """
     if scheduler:  # the workers may stand elsewhere
         suite, report = replace(suite, path=suite.path.resolve(), truth=suite.truth.resolve()), report.resolve()
@@ -151,7 +150,7 @@ def read_tables(
     _check_names(folder, list(films))
     for number, film in enumerate(films, 1):
         clips = sorted({clip for part in suite.parts.values() if part.film == film for clip in part.clips})
-        camera = {clip: _camera(suite, film, clip) for clip in clips}
+        camera = {clip: suite.camera(film, clip) for clip in clips}
         given = dict(_read_given(folder, film, camera))
         if strange := sorted(set(given) - set(clips)):
             raise InputError(
@@ -180,10 +179,6 @@ def _check_names(folder: Path, films: list[str]) -> None:
         raise InputError(
             f"{folder}: no table, expected FILM.csv or FILM.parquet, or a folder FILM, of {', '.join(films)}"
         )
-
-
-def _camera(suite: Suite, film: str, clip: int) -> Camera:
-    return Camera.read(suite.film(film) / "clips" / f"{clip:06d}" / "camera.json")
 
 
 def _read_given(folder: Path, film: str, camera: Mapping[int, Camera]) -> Iterator[tuple[int, Tracks]]:

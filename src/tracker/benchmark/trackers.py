@@ -82,18 +82,14 @@ def run_tracker(suite: Suite, one: Entrant, folder: Path, workers: int = 0, sche
             source = open_source(suite.film(film))
             wanted = tuple(clip for clip in source.clips if clip[0] in only)
             run(replace(source, clips=wanted), folder / film, one.detector, workers, scheduler=scheduler)
-    if not (folder / "pace.json").is_file():
-        write_json(folder / "pace.json", {"ms_per_frame": _time_frame(suite, one)})
+    if not (folder / "pace.json").is_file():  # processor time of detection and linking in the first clip
+        clip = _first(suite)
+        name = one.detector or choose_detector(clip.frames, clip.camera)[0]
+        started = time.process_time()
+        track_clip(clip, name)
+        spent = 1e3 * (time.process_time() - started) / len(clip.frames)
+        write_json(folder / "pace.json", {"ms_per_frame": spent})
     return TrackerResults(partial(read_clip_results, folder), one.sample, one.own)
-
-
-def _time_frame(suite: Suite, one: Entrant) -> float:
-    """Measure the processor time per frame (ms) of detection and linking in the first clip of the suite."""
-    clip = _first(suite)
-    name = one.detector or choose_detector(clip.frames, clip.camera)[0]
-    started = time.process_time()
-    track_clip(clip, name)
-    return 1e3 * (time.process_time() - started) / len(clip.frames)
 
 
 def describe_tracker_run(one: Entrant, folder: Path) -> Mapping[str, Any]:

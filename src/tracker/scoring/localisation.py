@@ -43,13 +43,6 @@ class MatchedDetections:
         """Found minus true position, (n, 2) px."""
         return _xy(self.found)[self.pairs[:, 1]] - _true(self.truth)[self.pairs[:, 0]]
 
-    def sum_glint_squares(self) -> float:
-        """Sum the squared distances of the found positions from the true glints, px^2; NaN without glints."""
-        if "glint_x_px" not in self.truth:
-            return float("nan")
-        glints = self.truth[["glint_x_px", "glint_y_px"]].to_numpy(np.float64)[self.pairs[:, 0]]
-        return float(((_xy(self.found)[self.pairs[:, 1]] - glints) ** 2).sum())
-
     @property
     def moving(self) -> NDArray[np.bool_]:
         """Tell whether the ball of a pair moves along each axis, (n, 2)."""
@@ -146,7 +139,11 @@ class PositionSums:
             terms = np.stack([np.cos(2 * np.pi * phase), np.sin(2 * np.pi * phase), np.ones_like(phase)])
             waves[axis], errors[axis], squares[axis] = terms @ terms.T, terms @ error, error @ error
         trace = float(np.trace(cov, axis1=1, axis2=2).sum())
-        sums = float((off**2).sum()), matched.sum_glint_squares(), trace
+        glint_squares = float("nan")
+        if "glint_x_px" in matched.truth:
+            glints = matched.truth[["glint_x_px", "glint_y_px"]].to_numpy(np.float64)[matched.pairs[:, 0]]
+            glint_squares = float(((_xy(matched.found)[matched.pairs[:, 1]] - glints) ** 2).sum())
+        sums = float((off**2).sum()), glint_squares, trace
         return cls(len(off), matched.missed, matched.false, *sums, waves, errors, squares)
 
     def __add__(self, other: PositionSums) -> PositionSums:

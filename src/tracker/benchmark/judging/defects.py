@@ -73,7 +73,7 @@ def measure_shifts_by_defects(held: PositionMatches, base: Mapping[int, TrueTrac
 
 def simulate_at_bound(suite: Suite, part: SuitePart, clip: int, seed: int = 21) -> TrueTracks:
     """Simulate a clip without a defect: true tracks with the noise of the bound, camera, and measurement."""
-    camera = suite.camera(part, clip)
+    camera = suite.camera(part.film, clip)
     truth = suite.tracks(part.truth, clip)
     truth = truth[truth["visible"].to_numpy(bool) & np.isfinite(truth["xx"].to_numpy(float))].reset_index(drop=True)
     rng = np.random.default_rng([seed, clip])

@@ -43,7 +43,7 @@ def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> P
     """
     clips, dots, rows, lost = [], [], [], {}
     for clip in tracked.sample.of(part):
-        camera = suite.camera(part, clip)
+        camera = suite.camera(part.film, clip)
         truth, (found, _) = suite.tracks(part.truth, clip), tracked.of(part.film, clip)
         near = match(truth, found, GATE_PX, camera.diameter_px)
         cov = covariances(truth)[near.pairs[:, 0]]

@@ -40,9 +40,9 @@ class Suite:
         """Return the folder of a film, which a tracker gets."""
         return self.path / FILMS / name
 
-    def camera(self, part: SuitePart, clip: int) -> Camera:
+    def camera(self, film: str, clip: int) -> Camera:
         """Read the camera of a clip."""
-        return Camera.read(self.film(part.film) / "clips" / f"{clip:06d}" / "camera.json")
+        return Camera.read(self.film(film) / "clips" / f"{clip:06d}" / "camera.json")
 
     def scalars(self, film: str) -> pd.DataFrame:
         """Read truth/clips.parquet of a film."""

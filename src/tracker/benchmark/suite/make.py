@@ -55,10 +55,9 @@ def make_suite(
     """Make a suite. The same call continues after an interruption.
 
     The films go to `output`, and the truth to `withhold`, apart from the films, or else to output/truth. The default
-    seed is that of the definition, or a random one where the truth is withheld. `workers` is the number of processes;
-    0: one a core. A script without `if __name__ == "__main__"` needs 1. `progress` takes the number of finished steps
-    and of all steps. `scheduler` is the address of a Dask scheduler, whose workers see the same folders; they film the
-    clips and find the bounds. Raises InputError where a folder holds other files, or `synthcam` fails.
+    seed is that of the definition, or a random one where the truth is withheld. 0 `workers`: one a core; a script
+    without `if __name__ == "__main__"` needs 1. The workers of a Dask `scheduler` see the same folders. Raises
+    InputError where a folder holds other files, or `synthcam` fails.
     """
     output = output.resolve()
     truth = withhold.resolve() if withhold else output / TRUTH
