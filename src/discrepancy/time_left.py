@@ -122,10 +122,7 @@ def in_stage(name: str) -> Iterator[None]:
 
 
 def report_progress() -> None:
-    """Show that the stage goes on, and raise OutOfTime if an active deadline is over.
-
-    Each prediction calls this. So the functions in between pass neither a deadline nor a callback.
-    """
+    """Show that the stage goes on; raise OutOfTime past an active deadline. Each prediction calls this."""
     progress, name = _shown.get()
     if name:
         progress(name)

@@ -34,10 +34,7 @@ class EvidenceUnit(Enum):
 
 @dataclass(frozen=True)
 class MeasuredCollision:
-    """One measured collision.
-
-    Rows are sorted by ball, then by frame. Ball 0 is the target (1 in files), ball 1 the striker.
-    """
+    """One measured collision: rows sorted by ball, then by frame; ball 0 is the target (1 in files), 1 the striker."""
 
     clip: int  # the clip's number
     striker: str  # "a" or "b", the ball's name in a scene

@@ -95,10 +95,7 @@ class _Offsets:
     rest: Array  # (n,): rms of the others about their path
 
     def outlier_sizes(self, typical: float, policy: SearchPolicy) -> Array:
-        """The distance (n,) of each outlier, 0 for other positions.
-
-        typical: the size of such distances where there are only errors.
-        """
+        """The distance (n,) of each outlier, 0 for others; typical: of positions where there are only errors."""
         size = np.abs(self.off).max(axis=1)
         far = size > policy.outlier_position_sigma * typical
         return np.where(far & (self.rest < policy.max_neighbour_rms * typical), size, 0.0)
@@ -182,10 +179,7 @@ class _Paths:
         return _Offsets((self.xy - path.position) / np.hypot(self.claimed, path.std)[:, None], path.rest)
 
     def outer(self, smooth: float) -> _Offsets:
-        """Distances of positions from the interval between two extrapolations, from the past and from the future.
-
-        One extrapolation is enough where no event is near. Paths with an rms above `smooth` do not count.
-        """
+        """Distances from the interval between two extrapolations of an rms up to `smooth`, or one without an event."""
         sides = [self._extrapolate(direction) for direction in (-1, 1)]
         seen, event = np.array([side.rest < smooth for side in sides]), self.phase < 0
         enough = (seen.sum(axis=0) >= 1 + event) & ~self.gone

@@ -13,10 +13,7 @@ from discrepancy.policy import current_policy
 
 
 def note_uniform_conditions(clips: Sequence[MeasuredCollision]) -> list[SearchNote]:
-    """A note for each condition (speed, impact parameter, heading) that all clips share.
-
-    However many such clips there are, they cannot show what depends on that condition.
-    """
+    """A note for each condition that all clips share: however many they are, they cannot show what depends on it."""
     policy, launches = current_policy(), np.array([c.launch for c in clips])
     speeds, headings, b = launches.T[[V0, HEADING, B]]
     notes = []

@@ -128,10 +128,7 @@ def _relinearise(whitened: WhitenedClips, fit: ModelFit) -> ModelFit | None:
 
 
 def take_one_step(whitened: WhitenedClips, fit: ModelFit, model: Model) -> ModelFit | None:
-    """Take one Gauss-Newton step of all fitted parameters from another model than the fit's.
-
-    Returns the fit without the step if it does not lower chi^2; None where that model has no motion.
-    """
+    """Take a step of all parameters from another model if that lowers chi^2; None where that model has no motion."""
     there = _apply_step(whitened, dataclasses.replace(fit, model=model), {}, np.zeros_like(fit.launches))
     if there is None:
         return None
@@ -145,10 +142,7 @@ def take_one_step(whitened: WhitenedClips, fit: ModelFit, model: Model) -> Model
 def choose_most_likely(
     whitened: WhitenedClips, fit: ModelFit, tries: Sequence[Mapping[str, float]]
 ) -> Mapping[str, float] | None:
-    """Choose the values of some parameters that fit best after a Gauss-Newton step of all others.
-
-    Returns None where the model has no motion for any of them.
-    """
+    """Choose the values of parameters that fit best after a step of all others; None without a motion for any."""
     names, plain = tuple(tries[0]), without_mutual_push(fit.model)
     pushing = coupling_effects(fit.model, plain) & {n.partition(".")[0] for n in names}
     model = fit.model if pushing else plain  # which is faster

@@ -157,10 +157,7 @@ def replace_within_limits(model: Model, values: Mapping[str, float]) -> Model:
 
 
 def find_size_exponent(unit: str) -> float:
-    """The exponent with which a quantity scales with the ball's diameter: 0.5 for "m/s", -1 for "1/m".
-
-    unit: a product of powers of m, s, rad and px, as "m/s^2"; "1" for a pure number.
-    """
+    """The exponent with which a quantity of this unit scales with the ball's diameter: 0.5 for "m/s", -1 for "1/m"."""
     exponents, total = {"m": 1.0, "s": 0.5, "rad": 0.0, "px": 0.0, "1": 0.0}, 0.0
     for sign, part in zip((1, -1), unit.split("/"), strict=False):
         for factor in part.split():

@@ -37,10 +37,7 @@ def predict_tracks(model: Model, launches: Array, clips: Sequence[MeasuredCollis
 def map_by_frame_rate(
     clips: Sequence[MeasuredCollision], of: Callable[[Ints, Sequence[MeasuredCollision]], Sequence[Array]]
 ) -> list[Array]:
-    """Predict in groups: apply a function to the clips of each frame rate and exposure, and keep the clips' order.
-
-    of: takes indices of some clips and these clips; returns an array for each.
-    """
+    """Predict in groups: apply `of` to indices and clips of each frame rate and exposure, and keep the clips' order."""
     rates: dict[tuple[str, str], list[int]] = {}
     for k, clip in enumerate(clips):
         rates.setdefault((f"{clip.camera.fps:.6g}", f"{clip.camera.exposure:.6g}"), []).append(k)

@@ -33,10 +33,7 @@ TIMES_PER_SEGMENT = 65  # times of a segment
 
 @dataclass(frozen=True)
 class ResponseSegment:
-    """A segment of the motion of k balls at m times: position, velocity, contact velocity (k, m, 2).
-
-    slip and direction stay defined where the motion ends.
-    """
+    """Position, velocity and contact velocity (k, m, 2) of k balls at m times; directions exist where motion ends."""
 
     times: Array
     place: Array

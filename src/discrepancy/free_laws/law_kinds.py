@@ -70,10 +70,7 @@ class FreeLaw(ABC):
 
     @abstractmethod
     def derivatives(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
-        """Differentiate the predicted tracks by the coefficients: (n_k, 2, size) for each clip.
-
-        The model may hold the law already.
-        """
+        """Differentiate tracks by the coefficients, (n_k, 2, size) a clip; the model may hold the law already."""
 
     @property
     def name(self) -> str:

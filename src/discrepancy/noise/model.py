@@ -49,10 +49,7 @@ class NoiseComponent:
 
     @lru_cache(maxsize=64)  # noqa: B019
     def autocovariances(self, count: int) -> Array:
-        """Autocovariance at lags 0 to count - 1, by the Durbin-Levinson recursion.
-
-        The last ones are kept, because the clips of a likelihood ask for the same.
-        """
+        """Autocovariance at lags 0 to count - 1 by Durbin and Levinson; the clips of a likelihood ask for the same."""
         out = np.ones(max(count, len(self.partial_autocorrelations) + 1))
         weights = np.zeros(0)
         for m, p in enumerate(self.partial_autocorrelations, 1):
@@ -107,10 +104,7 @@ class Noise:
 
     @property
     def is_smoothed(self) -> bool:
-        """True if the tracks were smoothed by a filter.
-
-        A filter's window ends as no natural noise does: the partial correlation two positions apart is negative.
-        """
+        """True if a filter smoothed the tracks: its window ends, so the partial correlation two apart is negative."""
         if len(self.own.partial_autocorrelations) < 2:
             return False
         size, near, far = self.own.autocovariances(2 * self.frame_spacing + 1)[:: self.frame_spacing]

@@ -98,10 +98,7 @@ class PlannedExperiment:
         return WhitenedClips.of(self.clips, self.noise)
 
     def fit(self) -> ModelFit:
-        """The fit to tracks without noise or missing effect: derivatives, and residuals of zero.
-
-        Raises ValueError if the model has no motion for these launches.
-        """
+        """The fit to tracks without noise or missing effect. Raises ValueError if the model has no motion for them."""
         return linearise(self.evidence, self.model, self.names, self.launches)
 
     @property

@@ -75,10 +75,7 @@ class Signatures:
 
     @classmethod
     def of(cls, experiment: PlannedExperiment, only: Sequence[str] = ()) -> Signatures:
-        """Compute the signatures of all candidates, or of those named in `only`.
-
-        Raises ValueError if the model has no motion for these launches.
-        """
+        """Compute signatures of all candidates, or of those in `only`. Raises ValueError if the model has no motion."""
         every = list_candidates(experiment.model, experiment.names)
         chosen = [c for c in every if not only or c.name in only]
         fit = experiment.fit()
@@ -204,10 +201,7 @@ def count_draws(clips: int) -> int:
 
 
 def median_limits(draws: Sequence[tuple[StrengthLimits, ...]]) -> tuple[StrengthLimits, ...]:
-    """The median over draws of each strength's limits, and of its cosine with each other effect.
-
-    draws: of the same scene, in the same order.
-    """
+    """The median over draws of one scene of each strength's limits, and of its cosine with each other effect."""
     return tuple(_median(rows) for rows in zip(*draws, strict=True))
 
 

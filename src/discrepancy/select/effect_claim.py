@@ -68,10 +68,7 @@ class EffectClaim:
         return name in self.values and is_at_limit(name, self.values[name])
 
     def shape_at_limit(self) -> tuple[str, float] | None:
-        """Return a shape parameter at an end of its range, and its value, or None. Zero does not count as an end.
-
-        The collisions ask for a value beyond the range, so the balls follow another law.
-        """
+        """A shape parameter at an end of its range but zero, and its value: balls follow another law. Or None."""
         return next(((n, v) for n, v in self.shapes.items() if v != 0 and is_at_limit(n, v)), None)
 
     def is_in(self, base: Model) -> bool:

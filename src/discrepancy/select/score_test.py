@@ -228,10 +228,7 @@ class ScoreTests:
     def sharper(
         self, evidence: WhitenedClips, scored: CandidateScore, without: Candidate | None = None
     ) -> CandidateScore:
-        """Search for better shape parameters of a candidate between the grid values.
-
-        without: an effect of the fit to remove first.
-        """
+        """Search for better shape parameters between the grid values; without: an effect to remove first."""
         candidate, model = scored.candidate, self.fit.model
         if not scored.shapes:
             return scored
@@ -274,10 +271,7 @@ class ScoreTests:
         return tuple(found)
 
     def leaders(self, claim: float) -> tuple[CandidateScore, ...]:
-        """The candidates that a search may add, most significant first.
-
-        Weakly identifiable candidates count only if no identifiable one is significant: a refit may show more.
-        """
+        """The candidates that a search may add, the best first; weakly identifiable ones if no other is significant."""
         ranking = self.ranking()
         identifiable = tuple(c for c in ranking if c.identifiable)
         significant = bool(identifiable) and identifiable[0].sigma > claim

@@ -281,10 +281,7 @@ def _turned_angle(clip: MeasuredCollision, rows: Ints, path: Array) -> Array:
 
 
 def find_stages(clip: MeasuredCollision, unit_s: float = 0.05) -> tuple[Ints, Array]:
-    """Find the phase (n,) in which each residual lies, and its time (n,) in it (before the contact: until it).
-
-    Exposures that hold an event count as sliding.
-    """
+    """Find the stage (n,) of residuals, and the time in it or until the contact; events count as sliding."""
     opens = clip.frame / clip.fps
     closes, end, t_c = opens + clip.exposure, clip.slide_ends[clip.ball], clip.launch[T_C]
     stage = np.where(
@@ -360,10 +357,7 @@ class ClipSolution:
 
     @classmethod
     def of(cls, launch: Array, columns: Array, residual: Array, shared: Array, min_share: float = 1e-5) -> ClipSolution:
-        """Fit the whitened columns (2n, T) of the terms, with the launch free beside them.
-
-        A term counts if the terms before it leave this share of its length.
-        """
+        """Fit whitened columns (2n, T) of terms beside the launch; of a term those before it must leave this share."""
         both = np.column_stack([launch, columns])
         length = np.linalg.norm(both, axis=0)
         unit = both / np.where(length > 0, length, 1)

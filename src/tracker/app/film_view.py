@@ -62,10 +62,7 @@ class FilmView:
         self._closed = True
 
     def open_recording(self, camera: Camera | None, options: FilmOptions, *, apart: bool = False) -> Recording:
-        """The same clip with a camera and options. Raises InputError.
-
-        apart: its frames are read beside those of the page, so that a pass over the film does not disturb the viewer.
-        """
+        """The clip with a camera and options; apart: so that reading it does not disturb the viewer."""
         frames = self._apart if apart else self.frames
         return make_recording(self.number, frames, camera, (f"{self.location}", "the camera"), options)
 

@@ -105,10 +105,7 @@ class OpenedResults:
     def list_tracks(
         self, number: int, edits: TrackEdits, film: NDArray[np.int64] | None = None
     ) -> list[dict[str, Any]]:
-        """The tracks of a clip after further edits, px. Their residuals are those of the tied fit, px and um.
-
-        film: numbers of its frames, where it is there.
-        """
+        """The tracks of a clip after further edits, px, with residuals of the tied fit; film: its frames."""
         tracks, camera = results.read_clip(self.folder, number)
         if len(tracks) > MAX_POSITIONS:
             raise InputError(f"tracks: {len(tracks)} positions, the page draws at most {MAX_POSITIONS}")
@@ -125,10 +122,7 @@ class OpenedResults:
 
 
 def list_columns(tracks: Tracks, camera: Camera, metres: NDArray[Any]) -> list[dict[str, Any]]:
-    """The columns of each track for the page: positions and errors, px, residuals, px and um, and flags.
-
-    metres: the residuals (n, 2); NaN where there is none.
-    """
+    """Columns of each track for the page: positions, errors, flags, and residuals of `metres` (n, 2), in px and um."""
     pixels = metres
     if camera.metric and len(tracks):
         slopes = camera.unproject(tracks.xy)[1]

@@ -45,10 +45,7 @@ class RunSettings(Settings):
     colour: Text = ""
 
     def camera_keys(self, given: Mapping[str, Any] | None, size: tuple[int, int]) -> dict[str, Any] | None:
-        """The keys of camera.json: those of the film's own file, and what is set; None without both.
-
-        Raises InputError for a scale without a rate, and the reverse.
-        """
+        """The film's own keys of camera.json and what is set, or None. Raises InputError for a scale without a rate."""
         own = {name: value for name in FIELDS if (value := getattr(self, name)) is not None}
         if not own:
             return dict(given) if given is not None else None
@@ -120,10 +117,7 @@ def name_as_argument(film: Path) -> str:
 def make_plan(
     settings: RunSettings, film: FilmView, given: Mapping[str, Any] | None, *, where: str = "camera.json"
 ) -> RunPlan:
-    """Check the settings of the page with the code that checks files and options. Raises InputError.
-
-    given: the keys of the film's own camera file.
-    """
+    """Check settings by the code for files and options; given: keys of the film's camera file. Raises InputError."""
     keys = settings.camera_keys(given, film.size)
     channel = name_channel(settings.channel or None, settings.colour)
     recording = film.open_recording(None if keys is None else Camera.from_dict(keys, where), settings.options)

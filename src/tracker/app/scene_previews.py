@@ -22,10 +22,7 @@ MAX_DRAWING_S = 60.0  # for one picture; then the process ends, so that the page
 
 
 class ScenePreviews:
-    """One process, `synthcam serve`, that draws scenes, started at the first request.
-
-    `ask` may be called from any thread.
-    """
+    """One process, `synthcam serve`, that draws scenes, started at the first request; any thread may `ask`."""
 
     def __init__(self, program: Sequence[str] = SERVER, patience_s: float = MAX_DRAWING_S) -> None:
         self._program, self._patience_s = program, patience_s

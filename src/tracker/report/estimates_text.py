@@ -34,10 +34,7 @@ class QuantityLine(NamedTuple):
 
 
 def order_methods(row: Mapping[str, Any]) -> dict[str, str]:
-    """Order the methods by which quantities are shown in text, METHODS, the recommended one first.
-
-    A fit that the tracks reject has values without errors. They are not shown beside a recommended estimate.
-    """
+    """Order METHODS, the recommended one first; values of a rejected fit are not shown beside it."""
     first = find_recommended_suffix(row)
     shown = {first: METHODS[first]} | METHODS
     if _has_recommended_values(row):

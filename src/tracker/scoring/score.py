@@ -187,10 +187,7 @@ def join_truth(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFr
 
 
 def drop_unclaimed(table: pd.DataFrame) -> pd.DataFrame:
-    """Drop from a score what a row does not claim: set it to NaN.
-
-    A row without a collision claims only the rolling loss; the tied fit of a misfit claims nothing.
-    """
+    """Set to NaN what a row does not claim: without a collision all but the rolling loss, and a misfit's tied fit."""
     held = table.copy()
     other = [f"{n}{kind}" for n in QUANTITY_NAMES if n not in ("drag", "decel") for kind in ("", "_free", "_paper")]
     held.loc[~held["status"].isin(MEASURED), [c for c in other if c in held]] = np.nan

@@ -33,10 +33,7 @@ DEFECTS = ("locking", "glint", "lost")
 
 
 def glint_share(pairs: pd.DataFrame, min_lever_px: float = 0.05) -> float:
-    """Measure the defect of a tracker that does not correct glints: the share of the vector from centre to glint.
-
-    NaN where the rms length of that vector is under `min_lever_px`, so that no share can be determined.
-    """
+    """The share of the vector from centre to glint that a tracker leaves; NaN where its rms is under this limit."""
     lever = pairs[["lever_x", "lever_y"]].to_numpy(np.float64).ravel()
     own = pairs[["own_x", "own_y"]].to_numpy(np.float64).ravel()
     use = np.isfinite(lever) & np.isfinite(own)

@@ -70,10 +70,7 @@ def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> P
 
 
 def compute_efficiency(figures: Mapping[str, float]) -> float:
-    """Compute the efficiency of positions: 1 where every ball is found at its bound and nothing else is.
-
-    NaN without a bound.
-    """
+    """Efficiency: 1 where every ball is found at its bound and nothing else is; NaN without a bound."""
     if not figures["n"]:
         return 0.0
     return float(figures["jaccard"] / max(figures["ratio"], 1.0)) if np.isfinite(figures["ratio"]) else np.nan

@@ -41,10 +41,7 @@ def _style(k: int) -> dict[str, Any]:
 
 
 def draw_headline(entries: Entries, definition: SuiteDefinition, worst: float = 30.0) -> Figure:
-    """Draw the first figure of the benchmark: a row for each tracker, a column for each setting, rmse over bound.
-
-    worst: rmse over bound with the darkest colour.
-    """
+    """Draw rmse over bound, a row for each tracker and a column for each setting; worst: has the darkest colour."""
     columns = definition.headline
     colours, norm = colormaps["RdYlGn_r"], LogNorm(1.0, worst)
 
