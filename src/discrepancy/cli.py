@@ -137,9 +137,8 @@ def find(
     print(json.dumps(document | {"seconds": round(seconds, 2)}) if as_json else found.sentence())
     if not as_json:
         print(f"verdict: {describe_verdict(found)}")
-        _print_processed(document["processed"])
         lost = count_lost_clips(notes)
-        _print_left_out(document["clips"]["left_out"], lost > len(clips))
+        _print_notes(document["processed"], document["clips"]["left_out"], lost > len(clips))
         count = len(found.data.clips) + len(found.data.held_out)
         used = f"{count} {found.data.unit} of {len(clips)}" if stretches else f"{count} of {len(clips) + lost}"
         print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")
@@ -185,8 +184,7 @@ def add(
         print(json.dumps({"model": str(output)} | new.document() | counts))
     else:
         print(f"{output}: {new.sentence()} ({len(clips)} of {len(clips) + lost})")
-        _print_processed(processed)
-        _print_left_out(left_out, lost > len(clips))
+        _print_notes(processed, left_out, lost > len(clips))
 
 
 @app.command()
@@ -287,12 +285,9 @@ def _print_camera_notes(measured: Path, camera: Path | None) -> None:
             print(f"discrepancy: {note}", file=sys.stderr)
 
 
-def _print_processed(lines: Sequence[str]) -> None:
-    for line in lines:
+def _print_notes(processed: Sequence[str], left_out: Sequence[str], most: bool) -> None:
+    for line in processed:
         print(f"Tracks: {line}.")
-
-
-def _print_left_out(left_out: Sequence[str], most: bool) -> None:
     if most:
         print("Most collisions are left out. Check fps, scale and ball_diameter in the camera file.")
     if left_out:

@@ -15,7 +15,6 @@ from discrepancy.fitting.gauss_newton import solve_step
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import BASE_PARAMETERS, find_parameter
 from discrepancy.fitting.stretch_scatter import StretchScatter
-from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.outcome import SearchOutcome, Verdict
 from discrepancy.policy import applied_policy, current_policy
@@ -60,13 +59,10 @@ def _describe_free_motion(found: SearchOutcome) -> str:
     unit = found.data.unit
     with applied_policy(found.policy):
         slow = describe_slow_noise(found.data.noise) if found.data.scatter.is_none else ""
-    rejected, remaining = describe_rejections(found.rejected, unit), found.disagreements
-    is_left = is_unexplained(remaining, found.policy)
-    worst = (
-        f"{describe_disagreement(remaining[0], found.base_fit.model)} ({remaining[0].sigma:.0f} sigma)"
-        if is_left
-        else ""
-    )
+    failed = "; ".join(f"{t.name} ({describe_rejection(t, unit)})" for t in found.rejected)
+    rejected, remaining, worst = f" Rejected: {failed}." if failed else "", found.disagreements, ""
+    if is_unexplained(remaining, found.policy):
+        worst = f"{describe_disagreement(remaining[0], found.base_fit.model)} ({remaining[0].sigma:.0f} sigma)"
     if found.interrupted:
         return describe_interruption(found.interrupted, found.base_fit, unit)
     unnamed = "The search names no effect for smoothed tracks"
@@ -90,7 +86,9 @@ def _describe_free_motion(found: SearchOutcome) -> str:
         )
     parts += [f"Missing effect: {words}." for words in missing] + [f"Wrong value: {words}." for words in wrong]
     if found.free_law and law:
-        where = describe_law_in_model(found.free_law, found.model_holds_law)
+        where = f"model.yaml {'holds its curve' if found.model_holds_law else 'cannot hold it'}"
+        if found.free_law.law.frees:
+            where = f"model.yaml leaves {found.free_law.law.frees} free"
         parts.append(f"Proposed formula: {law.formula}. {where}.")
     elif found.verdict is Verdict.OUTSIDE_LIBRARY:
         where = f": {worst}" if worst else ""
@@ -105,13 +103,6 @@ def describe_error_source(found: SearchOutcome) -> str:
     if not by_scatter or not any(math.isfinite(std) for c in found.claims for std in c.std.values()):
         return ""
     return "Errors follow from the scatter of the stretches; they lack a cause that changes all stretches equally."
-
-
-def describe_law_in_model(free_law: FittedLaw, model_holds_law: bool) -> str:
-    """Describe in a sentence what model.yaml keeps of a free law."""
-    if free_law.law.frees:
-        return f"model.yaml leaves {free_law.law.frees} free"
-    return "model.yaml holds its curve" if model_holds_law else "model.yaml cannot hold it"
 
 
 def describe_interruption(interrupted: InterruptedSearch, base: ModelFit, unit: EvidenceUnit) -> str:
@@ -206,11 +197,6 @@ def describe_rejection(test: ClaimTest, unit: EvidenceUnit = EvidenceUnit.COLLIS
         Rejection.LEFT_OUT_WORSE: f"it predicts {unit} worse, each left out once",
         Rejection.LEFT_OUT_NOT_SIGNIFICANT: f"{unit}, each left out once, do not support it beyond chance",
     }[test.rejection]
-
-
-def describe_rejections(tests: Sequence[ClaimTest], unit: EvidenceUnit) -> str:
-    """Describe the rejected claims in a sentence; empty without any."""
-    return f" Rejected: {'; '.join(f'{t.name} ({describe_rejection(t, unit)})' for t in tests)}." if tests else ""
 
 
 def describe_disagreement(disagreement: Disagreement, base: Model) -> str:

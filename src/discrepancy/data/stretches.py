@@ -44,17 +44,15 @@ def cut_stretches(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]
             rows = rows[~CUTTER.is_beside(time[rows], clip.launch[T_C], clip.launch[T_C], frame_s)]
             kinks = CUTTER.find_kinks(time[rows], CUTTER.measure_kinks(time[rows], clip.xy[rows], noise))
             for part in CUTTER.cut(time[rows], clip.frame[rows], kinks, frame_s):
-                moved = np.ptp(clip.xy[rows[part]], axis=0)
-                if len(part) >= current_policy().min_stretch_positions and np.hypot(*moved) > clip.camera.radius:
-                    stretches.append(_build_stretch(clip, rows[part]))
+                stretches += _build_stretch(clip, rows[part])
     return stretches
 
 
 def cut_crowd(tracks: Tracks, camera: Camera, number: int) -> list[MeasuredCollision]:
     """Cut the paths of more than two balls into free stretches between contacts, with one another and with walls."""
-    balls, policy = to_ball_tracks(tracks, camera), current_policy()
+    balls = to_ball_tracks(tracks, camera)
     contacts = find_track_contacts(balls, camera.ball_diameter, glides=camera.glides)
-    stretches = []
+    stretches = list[MeasuredCollision]()
     for ball in balls:
         whole = MeasuredCollision(
             clip=number,
@@ -69,20 +67,22 @@ def cut_crowd(tracks: Tracks, camera: Camera, number: int) -> list[MeasuredColli
         )
         own = np.array([contact.time for contact in contacts if ball.particle in contact.balls])
         for part in CUTTER.cut(ball.time, ball.frame, own, 1 / camera.fps):
-            moved = np.ptp(ball.position[part], axis=0)
-            if len(part) >= policy.min_stretch_positions and np.hypot(*moved) > camera.radius:
-                stretches.append(_build_stretch(whole, part))
+            stretches += _build_stretch(whole, part)
     return stretches
 
 
-def _build_stretch(clip: MeasuredCollision, rows: Ints) -> MeasuredCollision:
+def _build_stretch(clip: MeasuredCollision, rows: Ints) -> list[MeasuredCollision]:
+    """The stretch of these rows; none if they are too few, or if the ball hardly moves."""
+    moved = np.hypot(*np.ptp(clip.xy[rows], axis=0)) if len(rows) else 0.0
+    if len(rows) < current_policy().min_stretch_positions or not moved > clip.camera.radius:
+        return []
     other = "a" if clip.striker == "b" else "b"
     own = clip.striker if clip.ball[rows[0]] == 1 else other
     opens = clip.frame[rows] / clip.fps
     start = float(opens[0]) - 0.5 / clip.fps
     launch, end = _guess_start(opens + clip.exposure / 2 - start, clip.xy[rows], start)
     stretch = replace(clip.select(rows), striker=own, launch=launch, slide_ends=np.array([start, end]), offset=0.0)
-    return replace(stretch, ball=np.ones(len(rows), dtype=clip.ball.dtype))
+    return [replace(stretch, ball=np.ones(len(rows), dtype=clip.ball.dtype))]
 
 
 def _guess_start(times: Array, xy: Array, start: float) -> tuple[Array, float]:

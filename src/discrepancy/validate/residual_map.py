@@ -284,13 +284,10 @@ def find_stages(clip: MeasuredCollision, unit_s: float = 0.05) -> tuple[Ints, Ar
     """Find the stage (n,) of residuals, and the time in it or until the contact; events count as sliding."""
     opens = clip.frame / clip.fps
     closes, end, t_c = opens + clip.exposure, clip.slide_ends[clip.ball], clip.launch[T_C]
-    stage = np.where(
-        closes <= t_c, MotionStage.BEFORE, np.where(opens >= end, MotionStage.ROLLING, MotionStage.SLIDING)
-    )
+    stages = [MotionStage.BEFORE, MotionStage.ROLLING]
+    stage = np.select([closes <= t_c, opens >= end], stages, MotionStage.SLIDING)
     middle = (opens + closes) / 2
-    time = np.where(
-        stage == MotionStage.BEFORE, t_c - middle, np.where(stage == MotionStage.SLIDING, middle - t_c, middle - end)
-    )
+    time = np.select([stage == s for s in stages], [t_c - middle, middle - end], middle - t_c)
     return stage, np.maximum(time, 0) / unit_s
 
 

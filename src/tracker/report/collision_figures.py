@@ -137,8 +137,7 @@ def draw_tracks(view: CollisionView) -> Figure:
     inset.set_title("outlines of the balls at contact, $t_c$", fontsize=9)
     for where in (axes, inset):
         where.set_aspect("equal", adjustable="datalim" if where is axes else "box")
-        where.set_xlabel("x / mm")
-        where.set_ylabel("y / mm")
+        where.set(xlabel="x / mm", ylabel="y / mm")
     axes.legend(fontsize=8, loc="best")
     return figure
 
@@ -164,8 +163,7 @@ def draw_separation(view: CollisionView) -> Figure:
         time * 1e3, (apart - fitted) * 1e6, np.sqrt(variance) * 1e6, fmt="o", color=STYLE[2][0], ms=2.5, lw=0.7
     )
     rest.axhline(0, color="0.25", lw=0.8)
-    rest.set_ylabel("residual / µm")
-    rest.set_xlabel("time / ms")
+    rest.set(xlabel="time / ms", ylabel="residual / µm")
     _mark_times((axes, rest), view)
     axes.legend(fontsize=8, loc="best")
     return figure

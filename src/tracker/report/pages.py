@@ -115,26 +115,22 @@ class RecordingPage:
             for name, mean in summarise_contacts(self.contacts, self.rows).items()
         ]
         shared = PageTable(["quantity", "contacts", "mean", "scatter"], means, "Random-effects means over the contacts")
-        columns = {"v_n": 1e2, "r": 1.0, "mu_bb": 1.0, "impulse": 1e2, "energy_lost": 1e4}
+        columns = {  # heads, and the number of their units in one SI unit
+            "v_n": ("v_n / cm/s", 1e2),
+            "r": ("r", 1.0),
+            "mu_bb": ("mu_bb", 1.0),
+            "impulse": ("impulse / cm/s", 1e2),
+            "energy_lost": ("energy lost / cm²/s²", 1e4),
+        }
         rows = []
         for row in self.contacts.head(MAX_CONTACTS_OF_A_PAGE).to_dict("records"):
             other = "wall" if row["kind"] == "wall" else str(row["particle2"])
             at = format_with_error(1e3 * row["t_s"], 1e3 * row["t_s_std"])
-            values = [format_with_error(f * row[name], f * row[f"{name}_std"]) for name, f in columns.items()]
+            values = [format_with_error(f * row[name], f * row[f"{name}_std"]) for name, (_, f) in columns.items()]
             rows.append((str(row["contact"]), at, str(row["particle1"]), other, *values, row["why"]))
-        heads = [
-            "contact",
-            "t / ms",
-            "ball",
-            "with",
-            "v_n / cm/s",
-            "r",
-            "mu_bb",
-            "impulse / cm/s",
-            "energy lost / cm²/s²",
-        ]
+        heads = ["contact", "t / ms", "ball", "with", *(head for head, _ in columns.values()), "estimate"]
         title = "Contacts in order of time; impulse and energy per unit mass"
-        return [*([shared] if means else []), PageTable([*heads, "estimate"], rows, title)]
+        return [*([shared] if means else []), PageTable(heads, rows, title)]
 
     def _how_to_read(self) -> str:
         straight = [str(row["collision"]) for row in self.collisions if text.is_straight(row)]

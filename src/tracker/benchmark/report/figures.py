@@ -13,11 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from synthcam_shared.report.page import make_axes
+from tracker.benchmark.report.leaderboard import Entries, Entry
 from tracker.benchmark.suite.definition import SuiteDefinition
 from tracker.report.quantities import QUANTITIES
 
-Entry = Mapping[str, Any]
-Entries = Sequence[Entry]
 COLOURS = ("#14508c", "#c1440e", "#4d9221", "#7b3294", "#b8860b", "#008080", "#d6438a", "#555555", "#6b8e23", "#8b4513")
 LIMIT_LINE: Any = {"color": "0.3", "lw": 0.8, "ls": ":"}
 MIN_FOUND = 0.5  # share of balls found, less false detections, under which a part counts as lost

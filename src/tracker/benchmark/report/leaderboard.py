@@ -14,7 +14,8 @@ from synthcam_shared.outputs import write_atomically
 from tracker.results import load_json, write_json
 
 ENTRIES = "entries"
-Entries = Sequence[Mapping[str, Any]]
+Entry = Mapping[str, Any]
+Entries = Sequence[Entry]
 
 
 def name_entry_file(name: str) -> str:
@@ -23,7 +24,7 @@ def name_entry_file(name: str) -> str:
     return f"{kept or 'tracker'}.json"
 
 
-def write_entry(report: Path, entry: Mapping[str, Any]) -> None:
+def write_entry(report: Path, entry: Entry) -> None:
     """Write REPORT/entries/NAME.json. Raises InputError where it is the entry of another tracker."""
     name, made = entry["tracker"]["name"], entry["tracker"]["made"]
     path = report / ENTRIES / name_entry_file(name)
@@ -35,7 +36,7 @@ def write_entry(report: Path, entry: Mapping[str, Any]) -> None:
     write_json(path, entry)
 
 
-def read_entries(report: Path, suite: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def read_entries(report: Path, suite: Mapping[str, Any]) -> list[Entry]:
     """Read all entries of a report, the best first. Raises InputError for an entry of another suite."""
     found = []
     for path in sorted((report / ENTRIES).glob("*.json")):
@@ -49,7 +50,7 @@ def read_entries(report: Path, suite: Mapping[str, Any]) -> list[Mapping[str, An
     return sorted(found, key=lambda one: (-(one["score"] or 0.0), one["tracker"]["name"]))
 
 
-def make_leaderboard_row(rank: int, one: Mapping[str, Any]) -> dict[str, Any]:
+def make_leaderboard_row(rank: int, one: Entry) -> dict[str, Any]:
     """Make a line of the leaderboard by column."""
     parts = one["parts"].values()
     ratios = [part["ratio"] for part in parts if part["ratio"] is not None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,11 @@ from markupsafe import Markup
 from synthcam_shared.report.numbers import format_number
 from synthcam_shared.report.page import Block, PageFigure, PageSection, PageTable, write_page
 from tracker.benchmark.report import figures
-from tracker.benchmark.report.leaderboard import make_leaderboard_row
+from tracker.benchmark.report.leaderboard import Entries, Entry, make_leaderboard_row
 from tracker.benchmark.suite.definition import SuiteDefinition
 from tracker.benchmark.suite.make import CITATION
 from tracker.report.quantities import QUANTITIES
 
-Entries = Sequence[Mapping[str, Any]]
 PUBLISHED = ("r", "mu_k", "C", "tau1", "energy_fraction")  # quantities whose published values are shown
 SHIFTED = ("r", "tau1", "energy_fraction")  # quantities whose shifts by defects are shown
 MEANINGS = {
@@ -165,7 +164,7 @@ def _card(definition: SuiteDefinition, about: Mapping[str, Any]) -> PageTable:
 
 
 def describe_performance(
-    entry: Mapping[str, Any], definition: SuiteDefinition, at_bound: float = 1.2, failure: float = 2.0
+    entry: Entry, definition: SuiteDefinition, at_bound: float = 1.2, failure: float = 2.0
 ) -> tuple[str, str]:
     """Say on the page in how many settings a tracker is at the bound, and the three in which it fails most.
 
