@@ -11,9 +11,9 @@ import numpy as np
 from discrepancy.data.collisions import EvidenceUnit, MeasuredCollision
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.data.outlier_points import note_removed_points, remove_outliers
-from discrepancy.data.prior_processing import covers_contact, remove_filtered_rows
 from discrepancy.data.stretches import cut_stretches
 from discrepancy.data.study_design import split_held_out
+from discrepancy.data.track_checks import covers_contact, remove_filtered_rows
 from discrepancy.fitting.base_fit import fit_base_model, remove_outliers_beside_model
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import ModelFit

@@ -13,9 +13,9 @@ from threadpoolctl import threadpool_limits
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.contacts import Contacts, read_contacts
 from discrepancy.data.notes import SearchNote, SearchNoteKind, sort_notes
-from discrepancy.data.prior_processing import detect_processing
 from discrepancy.data.reading import read_collisions
 from discrepancy.data.study_design import note_uniform_conditions
+from discrepancy.data.track_checks import detect_processing
 from discrepancy.fitting.base_fit import check_clips, fit_base_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.noise_refit import refit_noise

@@ -309,10 +309,9 @@ def score(
     """
     from synthcam_shared.outputs import open_resumable
     from tracker.results import RUN, load_json
-    from tracker.scoring.score import check_same_dataset
+    from tracker.scoring.score import check_same_dataset, summarise_score
     from tracker.scoring.score import score as score_results
     from tracker.scoring.score_page import write_report
-    from tracker.scoring.summary import summarise_score
 
     new = not output.exists()
     with open_resumable(output, "tracker score", "a new folder for the report"):

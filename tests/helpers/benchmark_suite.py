@@ -9,8 +9,7 @@ import numpy as np
 
 from tracker.benchmark.judging.defects import simulate_at_bound
 from tracker.benchmark.judging.tracker_results import ALL_CLIPS, ClipSample
-from tracker.benchmark.suite.definition import parse_definition
-from tracker.benchmark.suite.folder import covariances
+from tracker.benchmark.suite.definition import covariances, parse_definition
 from tracker.benchmark.suite.make import make_suite
 from tracker.scoring.score import NO_TRACKS
 

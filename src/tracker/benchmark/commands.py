@@ -75,8 +75,7 @@ def run(
     Example: tracker benchmark run --trackers synthcam,my_detector --size small -o out/mine
     """
     from tracker.benchmark.contest import SUITE, open_contest_report, run_contest
-    from tracker.benchmark.suite.definition import read_definition
-    from tracker.benchmark.suite.folder import check_truth, open_suite
+    from tracker.benchmark.suite.definition import check_truth, open_suite, read_definition
     from tracker.benchmark.suite.make import make_suite as make_suite
     from tracker.benchmark.trackers import parse_names
 
@@ -109,7 +108,7 @@ def submit(
     Example: tracker benchmark submit out/suite my_tables -o out/benchmark
     """
     from tracker.benchmark.contest import score_submission
-    from tracker.benchmark.suite.folder import check_truth, open_suite
+    from tracker.benchmark.suite.definition import check_truth, open_suite
 
     with progress_bar("films") as progress:
         entries, notes = score_submission(

@@ -21,7 +21,7 @@ from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import TrackerResults, take_clip
 from tracker.benchmark.report.leaderboard import ENTRIES, name_entry_file, read_entries, write_entry, write_leaderboard
 from tracker.benchmark.report.page import write_report
-from tracker.benchmark.suite.folder import Suite
+from tracker.benchmark.suite.definition import Suite
 from tracker.benchmark.trackers import RUN_HERE, Entrant, describe_tracker_run, make_entrants, run_tracker
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks

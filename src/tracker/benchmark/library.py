@@ -18,8 +18,7 @@ from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import TrackerResults, take_clip
-from tracker.benchmark.suite.definition import read_definition
-from tracker.benchmark.suite.folder import Suite, check_truth, open_suite
+from tracker.benchmark.suite.definition import Suite, check_truth, open_suite, read_definition
 from tracker.benchmark.suite.make import make_suite
 from tracker.camera.recordings import open_source
 from tracker.detection.detect import DetectorChoice, detector_name

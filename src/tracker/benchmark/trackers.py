@@ -11,7 +11,7 @@ from typing import Any
 
 from synthcam_shared.errors import InputError
 from tracker.benchmark.judging.tracker_results import ALL_CLIPS, ClipSample, TrackerResults, read_clip_results
-from tracker.benchmark.suite.folder import Suite
+from tracker.benchmark.suite.definition import Suite
 from tracker.camera.recordings import Recording, open_source
 from tracker.detection.choose import choose_detector
 from tracker.detection.detect import load_detector, load_linker, make_view

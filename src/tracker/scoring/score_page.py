@@ -22,8 +22,7 @@ from tracker.report.pages import CAPTIONS
 from tracker.report.quantities import QUANTITIES
 from tracker.results import read_clip
 from tracker.scoring.external_tables import MEASURES
-from tracker.scoring.score import DetectorScore
-from tracker.scoring.summary import format_ratio
+from tracker.scoring.score import DetectorScore, format_ratio
 
 Floats = NDArray[np.float64]
 POSITION_HEADS = ("balls found", "missed", "false", "rmse / px", "bound / px", "rmse / bound", "phase bias / px")

@@ -8,8 +8,8 @@ import pytest
 from discrepancy_files import NOISE, SCENE
 from repository import ROOT
 
-from discrepancy.data.prior_processing import detect_processing
 from discrepancy.data.reading import read_collisions
+from discrepancy.data.track_checks import detect_processing
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import read_scene
 from synthcam_shared.errors import InputError

@@ -19,8 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tracker.benchmark.judging.position_errors import PositionMatches, fit_pixel_locking
-from tracker.benchmark.suite.definition import SuitePart
-from tracker.benchmark.suite.folder import Suite, covariances
+from tracker.benchmark.suite.definition import Suite, SuitePart, covariances
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.recording import measure_clip

@@ -11,8 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tracker.benchmark.judging.tracker_results import TrackerResults
-from tracker.benchmark.suite.definition import SuitePart
-from tracker.benchmark.suite.folder import Suite, covariances
+from tracker.benchmark.suite.definition import Suite, SuitePart, covariances
 from tracker.scoring.localisation import MatchedDetections, match, score_positions
 from tracker.scoring.score import to_track_points
 from tracker.scoring.tracking_metrics import GATE_PX, score_tracks

@@ -20,8 +20,7 @@ import yaml
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress, run_all_jobs, use_one_thread
 from synthcam_shared.outputs import open_resumable, write_atomically
-from tracker.benchmark.suite.definition import SuiteDefinition, SuiteFilm
-from tracker.benchmark.suite.folder import (
+from tracker.benchmark.suite.definition import (
     BOUNDS,
     DEFINITION,
     FILMS,
@@ -29,6 +28,8 @@ from tracker.benchmark.suite.folder import (
     SUITE,
     TRUTH,
     Suite,
+    SuiteDefinition,
+    SuiteFilm,
     check_truth,
     open_suite,
     truth_digest,

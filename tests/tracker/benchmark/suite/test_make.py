@@ -9,7 +9,7 @@ from benchmark_suite import suite, tiny
 
 from synthcam_shared.errors import InputError
 from tracker.benchmark.suite import make as module
-from tracker.benchmark.suite.folder import check_truth, open_suite, truth_digest
+from tracker.benchmark.suite.definition import check_truth, open_suite, truth_digest
 from tracker.benchmark.suite.make import make_suite
 
 

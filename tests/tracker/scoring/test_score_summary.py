@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.scoring.score import DetectorScore
-from tracker.scoring.summary import describe_fitness, summarise_score
+from tracker.scoring.score import DetectorScore, describe_fitness, summarise_score
 
 
 def figures(n=100, rmse=1e-4, ratio=1.0, z_mean=0.0, z_std=1.0):

@@ -9,7 +9,7 @@ from discrepancy_clips import CAMERA, collisions
 from scipy.ndimage import uniform_filter1d
 
 from discrepancy.data.launch import T_C
-from discrepancy.data.prior_processing import detect_processing, remove_filtered_rows
+from discrepancy.data.track_checks import detect_processing, remove_filtered_rows
 from discrepancy.preparation import prepare_data
 from discrepancy.search import search
 from synthcam.model import Model
