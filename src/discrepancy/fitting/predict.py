@@ -108,17 +108,8 @@ def _apply_camera(model: Model, camera: Camera, positions: Array, height: Array 
     """Positions that a tracker with the nominal camera, for balls on the plate, finds for centres at these heights."""
     if not model.laws.has_effect_on("camera", "measure", "loft"):
         return positions
-    nominal = Optics(
-        K=camera.K,
-        dist=np.asarray(camera.dist),
-        R=camera.R,
-        t=camera.t,
-        size=camera.size,
-        fps=camera.fps,
-        exposure=camera.exposure,
-        scale=float("nan"),
-        psf_sigma_px=float("nan"),
-    )
+    own: dict[str, Any] = {name: getattr(camera, name) for name in ("K", "R", "t", "size", "fps", "exposure")}
+    nominal = Optics(**own, dist=np.asarray(camera.dist), scale=np.nan, psf_sigma_px=np.nan)
     flat = positions if camera.warp is None else camera.warp.undo(positions)  # the nominal optics have no warp
     pixels = replace(model.laws("camera", nominal, {})).project(_spatial(flat, height))
     pixels = model.laws("measure", pixels, collect_measurement_context(camera))

@@ -46,10 +46,11 @@ def draw_search_figures(found: SearchOutcome) -> list[PageFigure]:
     compared = f", base model and model {name_best_model(found)}" if not found.is_empty else " of the base model"
     early = " stopped early and" if found.interrupted else ""
     only = "" if not found.is_empty else f" The search{early} names no effect, so the base model is shown alone."
+    means, sizes = _residual_figures(found)
     figures = [
         (
             f"Mean residuals{compared}",
-            _mean_residuals_figure(found),
+            means,
             f"Mean residuals of the fitted {unit}. Error bars: scatter between {unit}, as the standard error of "
             f"the mean. The sigma in the text is larger where a wrong model makes {unit} differ, because it "
             f"compares each {unit.one} with its measurement noise. Time runs from the first frame to the contact, "
@@ -58,7 +59,7 @@ def draw_search_figures(found: SearchOutcome) -> list[PageFigure]:
         ),
         (
             f"Size of the residuals{compared}",
-            _rms_residuals_figure(found),
+            sizes,
             "Root mean square of the same residuals. Error bars: statistical, for independent residuals of normal "
             f"distribution. It also shows a disagreement whose sign changes between {unit}.",
         ),
@@ -84,51 +85,34 @@ def _fits_to_draw(found: SearchOutcome) -> list[tuple[Sequence[MeasuredCollision
     return list(zip(clips, fits, (COLOURS["base"], COLOURS["best"]), list_models(found), strict=False))
 
 
-def _mean_residuals_figure(found: SearchOutcome) -> Figure:
-    shown = _shown_balls(found)
-    figure, axes = make_axes(len(shown), 2, figsize=(8, 0.2 + 2.2 * len(shown)), sharex=True, squeeze=False)
+def _residual_figures(found: SearchOutcome) -> tuple[Figure, Figure]:
+    """The mean residuals of each ball, along and across its path, and their size, by the stage of the motion."""
+    shown = (1,) if found.data.is_cut else (0, 1)  # only a "striker" is seen in a stretch
+    means, grid = make_axes(len(shown), 2, figsize=(8, 0.2 + 2.2 * len(shown)), sharex=True, squeeze=False)
+    sizes, ((*row,),) = make_axes(1, len(shown), figsize=(4 * len(shown), 2.8), sharey=True, squeeze=False)
     for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
         stage, ball, left = _residuals(clips, fit, found.data.noise)
-        for (row, axis), ax in np.ndenumerate(axes):
-            b = shown[row]
-            centres, values = _bin(stage[ball == b], left[ball == b, axis])
-            means = [v.mean() for v in values]
-            errors = [v.std(ddof=1) / np.sqrt(len(v)) for v in values]
-            ax.errorbar(centres + 0.02 * k, means, errors, fmt="o", ms=3, lw=1, color=colour, label=label)
-    for (row, axis), ax in np.ndenumerate(axes):
-        ax.axhline(0, color=COLOURS["noise"], lw=0.5)
-        _mark_stages(ax, f"{_name_ball(found, shown[row])}, {('along', 'across')[axis]}", found.data.is_cut)
-    for ax in axes[:, 0]:
-        ax.set_ylabel("mean residual (µm)")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    return figure
-
-
-def _rms_residuals_figure(found: SearchOutcome) -> Figure:
-    shown = _shown_balls(found)
-    figure, grid = make_axes(1, len(shown), figsize=(4 * len(shown), 2.8), sharey=True, squeeze=False)
-    axes = grid[0]
-    for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
-        stage, ball, left = _residuals(clips, fit, found.data.noise)
-        for b, ax in zip(shown, axes, strict=True):
+        style: Any = {"fmt": "o", "ms": 3, "lw": 1, "color": colour, "label": label}
+        for b, both, ax in zip(shown, grid, row, strict=True):
+            for axis in range(2):
+                centres, values = _bin(stage[ball == b], left[ball == b, axis])
+                errors = [v.std(ddof=1) / np.sqrt(len(v)) for v in values]
+                both[axis].errorbar(centres + 0.02 * k, [v.mean() for v in values], errors, **style)
             centres, values = _bin(stage[ball == b], np.sqrt((left[ball == b] ** 2).mean(axis=1)))
-            sizes = np.array([np.sqrt(np.mean(v**2)) for v in values])
-            errors = sizes / np.sqrt([4 * len(v) for v in values])
-            ax.errorbar(centres + 0.02 * k, sizes, errors, fmt="o", ms=3, lw=1, color=colour, label=label)
-    for b, ax in zip(shown, axes, strict=True):
+            rms = np.array([np.sqrt(np.mean(v**2)) for v in values])
+            ax.errorbar(centres + 0.02 * k, rms, rms / np.sqrt([4 * len(v) for v in values]), **style)
+    for b, both, ax in zip(shown, grid, row, strict=True):
+        name = "all stretches" if found.data.is_cut else f"ball {b + 1}"
+        for axis, word in enumerate(("along", "across")):
+            both[axis].axhline(0, color=COLOURS["noise"], lw=0.5)
+            _mark_stages(both[axis], f"{name}, {word}", found.data.is_cut)
+        both[0].set_ylabel("mean residual (µm)")
         ax.axhline(found.gap.floor_um, color=COLOURS["noise"], lw=1, ls="--", label="noise alone")
-        _mark_stages(ax, _name_ball(found, b), found.data.is_cut)
-    axes[0].set(ylabel="rms residual in x and y (µm)", ylim=(0, None))
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    return figure
-
-
-def _shown_balls(found: SearchOutcome) -> tuple[int, ...]:
-    return (1,) if found.data.is_cut else (0, 1)  # only a "striker" is seen in a stretch
-
-
-def _name_ball(found: SearchOutcome, ball: int) -> str:
-    return "all stretches" if found.data.is_cut else f"ball {ball + 1}"
+        _mark_stages(ax, name, found.data.is_cut)
+    row[0].set(ylabel="rms residual in x and y (µm)", ylim=(0, None))
+    means.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    sizes.legend(*row[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return means, sizes
 
 
 def _mark_stages(ax: Axes, title: str, is_cut: bool) -> None:

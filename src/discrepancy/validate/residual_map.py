@@ -89,17 +89,10 @@ def find_disagreements(clips: Sequence[MeasuredCollision], fit: ModelFit, noise:
     impact parameter, heading or position. Sigma is corrected for the number of tests (Bonferroni).
     """
     found = [*find_disagreements_by_phase(clips, fit, noise), *find_ripples(clips, fit, noise)]
-    every = [
-        Disagreement(
-            phase,
-            ("ball 1", "ball 2")[ball],
-            ("along", "across")[axis],
-            _corrected_sigma(chi2, dof, len(found)),
-            against,
-            size,
-        )
-        for (phase, ball, axis), (against, chi2, dof, size) in found
-    ]
+    every = []
+    for (phase, ball, axis), (against, chi2, dof, size) in found:
+        sigma = _corrected_sigma(chi2, dof, len(found))
+        every.append(Disagreement(phase, f"ball {ball + 1}", ("along", "across")[axis], sigma, against, size))
     return tuple(sorted(every, key=lambda x: -x.sigma))
 
 

@@ -255,14 +255,8 @@ class Workbench:
             began, ready, status = time.monotonic(), None, DetectorStatus("failed")
             try:
                 ready = prepare_detector(plan.open_apart(), plan.channel)
-                status = DetectorStatus(
-                    state="ready",
-                    name=ready.name,
-                    point=ready.point,
-                    channel=ready.clip.channel,
-                    seconds=round(time.monotonic() - began, 2),
-                    notes=ready.notes,
-                )
+                seconds, channel = round(time.monotonic() - began, 2), ready.clip.channel
+                status = DetectorStatus("ready", ready.name, ready.point, channel, seconds, ready.notes)
             except InputError as error:
                 status = replace(status, error=f"{error}")
             except Exception as error:  # the film can still be looked at

@@ -121,14 +121,8 @@ def draw_tracks(view: CollisionView) -> Figure:
         for where in (axes, inset):
             where.plot(*position.T, "-", color=colour, lw=0.8)
         rows = course.frame % every == 0
-        axes.plot(
-            *position[rows].T,
-            mark,
-            color=colour,
-            ms=4.5,
-            mfc="white",
-            label=f"{label}, every {every / view.camera.fps:g} s",
-        )
+        label = f"{label}, every {every / view.camera.fps:g} s"
+        axes.plot(*position[rows].T, mark, color=colour, ms=4.5, mfc="white", label=label)
         inset.plot(*position.T, mark, color=colour, ms=3.2, mfc="white", label="every frame")
         contact[ball] = view.predict(ball, np.array([t_c - view.camera.exposure / 2]))[0] * 1e3
         inset.add_patch(Circle(tuple(contact[ball]), radius, fill=False, ec=colour, lw=1))

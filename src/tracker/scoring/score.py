@@ -47,13 +47,8 @@ class DetectorScore:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of score.json: plain numbers, None for unknown values."""
-        parts = {
-            "localisation": self.localisation,
-            "tracking": self.tracking,
-            "quantities": self.quantities,
-            "clips": self.statuses,
-            "ms_per_frame": self.ms_per_frame,
-        }
+        parts = {name: getattr(self, name) for name in ("localisation", "tracking", "quantities")}
+        parts |= {"clips": self.statuses, "ms_per_frame": self.ms_per_frame}
         whole: dict[str, Any] = replace_non_finite({"suite": self.suite, "detectors": {self.detector: parts}})
         return whole
 
