@@ -56,7 +56,9 @@ def read_collisions(
     cut = [
         stretches and len(np.unique(source.tracks.particle)) > 2 and source.camera.knows_diameter for source in clips
     ]
-    built = _build_all([source for source, is_cut in zip(clips, cut, strict=True) if not is_cut], workers, name)
+    whole = {source.number: source for source, is_cut in zip(clips, cut, strict=True) if not is_cut}
+    jobs = run_all_jobs(partial(_build_one, whole, current_policy()), list(whole), workers, name)
+    built = yield_in_order(jobs, list(whole))
     for source, is_cut in zip(clips, cut, strict=True):
         notes += [
             SearchNote(SearchNoteKind.REPAIRED, source.number, note.frames, {"text": note.text})
@@ -122,15 +124,6 @@ class _Source:
     estimates: Callable[[], list[dict[Any, Any]]]  # gives the tracker's rows
     strays: list[int] = field(default_factory=list)  # frames of removed positions
     repairs: tuple[Note, ...] = ()
-
-
-def _build_all(
-    sources: Sequence[_Source], workers: int, where: Path
-) -> Iterator[tuple[MeasuredCollision | SearchNote, bool, float]]:
-    """Run `_build` for each source, in so many processes."""
-    by_number = {source.number: source for source in sources}
-    work, numbers = partial(_build_one, by_number, current_policy()), list(by_number)
-    return yield_in_order(run_all_jobs(work, numbers, workers, where), numbers)
 
 
 def _build_one(

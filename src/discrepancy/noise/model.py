@@ -237,7 +237,9 @@ def estimate_noise(clips: Sequence[MeasuredCollision]) -> Noise:
     InputError
         The stretches are too few, or show no noise.
     """
-    clips = _select_usual_clips(clips)
+    power = np.array([_measure_power(clip.smooth_stretches()) for clip in clips])
+    most = current_policy().max_clip_noise_power * float(np.median(power[power > 0] if power.any() else [0.0]))
+    clips = [clip for clip, own in zip(clips, power, strict=True) if own <= most]
     stretches = [stretch for clip in clips for stretch in clip.smooth_stretches()]
     spacing = int(np.gcd.reduce([step for *_, frames in stretches for step in np.diff(frames)] or [1]))
     noise = Noise(fit_own_noise(stretches), frame_spacing=spacing)
@@ -276,13 +278,6 @@ def _cut_pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
     moves = power > rounding
     most = current_policy().max_piece_noise_power * float(np.median(power[moves] if moves.any() else power))
     return [piece for piece, own in zip(cut, power, strict=True) if rounding < own <= most]
-
-
-def _select_usual_clips(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]:
-    """The clips whose noise power is at most `SearchPolicy.unusual_noise_power` times the median."""
-    sizes = [_measure_power(clip.smooth_stretches()) for clip in clips]
-    most = current_policy().max_clip_noise_power * float(np.median([s for s in sizes if s > 0] or [0.0]))
-    return [c for c, s in zip(clips, sizes, strict=True) if s <= most]
 
 
 def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:

@@ -136,15 +136,10 @@ def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candi
         return std
     for shapes, gain, strengths in others:
         values = dict(zip(candidate.strengths, strengths, strict=True)) | shapes
-        if most - gain > likely_sigma**2 or any(not _inside(fit.model, n, values[n]) for n in candidate.strengths):
+        ends = {n: parameter_limits(fit.model, n) for n in candidate.strengths}
+        if most - gain > likely_sigma**2 or not all(low <= values[n] <= high for n, (low, high) in ends.items()):
             continue
         for name in std:
             away = abs(values[name] - middle[name])
             std[name] = max(std[name], float(away / np.sqrt(max(most - gain, 1.0))))
     return std
-
-
-def _inside(model: Model, name: str, value: float) -> bool:
-    """Tell if a value is within the limits of a parameter."""
-    low, high = parameter_limits(model, name)
-    return low <= value <= high
