@@ -14,11 +14,7 @@ def find_mirror_normal(centres: Array, radius: float, eye: Array, light: Array, 
     The normal halves the angle between the directions to light and eye. It is iterated from upright or from `start`,
     because these directions start on the surface.
     """
-    if start is None:
-        normal = np.zeros_like(centres)
-        normal[..., 2] = 1.0
-    else:
-        normal = start
+    normal = np.broadcast_to([0.0, 0.0, 1.0], centres.shape) if start is None else start
     for _ in range(20):
         point = centres + radius * normal
         fresh = _unit(_unit(eye - point) + _unit(light - point))
@@ -72,8 +68,7 @@ def find_secondary_mirror_normal(centres: Array, others: Array, radius: float, e
     Both reflections halve their angles; steps are damped, for close spheres turn each other's rays strongly.
     """
     along = _unit(others - centres)
-    up = np.zeros_like(centres)
-    up[..., 2] = 1.0
+    up = np.array([0.0, 0.0, 1.0])
     normal, other = _unit(up + along), _unit(up - along)
     for _ in range(80):
         point, from_ = centres + radius * normal, others + radius * other

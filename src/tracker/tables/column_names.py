@@ -67,16 +67,9 @@ def read_named_columns(rows: pd.DataFrame, where: str) -> TrackTable | None:
     if not set(REQUIRED_COLUMNS) <= set(columns):
         return None
     rows = rows.rename(columns={own: name for name, own in columns.items()})
-    return TrackTable(_with_errors(rows, where), unit=unit, fps=fps)
-
-
-def _with_errors(rows: pd.DataFrame, where: str) -> pd.DataFrame:
-    """The rows with `ep` as standard errors; what is not over 0 is not known."""
-    if {"x_std", "y_std"} & set(rows):
-        return rows
-    for name, given in (("x_std", ("ep_x", "ep")), ("y_std", ("ep_y", "ep"))):
-        found = next((ep for ep in given if ep in rows), None)
-        if found is not None:
+    names = {} if {"x_std", "y_std"} & set(rows) else {"x_std": ("ep_x", "ep"), "y_std": ("ep_y", "ep")}
+    for name, given in names.items():
+        if found := next((ep for ep in given if ep in rows), ""):
             error = to_numbers(rows[found], found, where)
-            rows = rows.assign(**{name: np.where(error > 0, error, np.nan)})
-    return rows
+            rows = rows.assign(**{name: np.where(error > 0, error, np.nan)})  # what is not over 0 is not known
+    return TrackTable(rows, unit=unit, fps=fps)
