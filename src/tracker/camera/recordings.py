@@ -236,7 +236,7 @@ def open_source(
     location, given = Path(path), None if camera is None else Path(camera)
     if given is not None:
         Camera.read(given)
-    if not location.exists():
+    if not location.is_file() and not location.is_dir():  # a pipe is neither
         raise InputError(f"{location}: no such file or folder, expected a dataset, clip, stack, video or pictures")
     if location.is_file() and location.suffix.lower() not in TIFF + VIDEOS + ARRAYS + HDF5:
         raise InputError(

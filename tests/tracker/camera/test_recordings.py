@@ -1,6 +1,7 @@
 """Whatever a camera leaves behind opens alike, a frame at a time; what is damaged is named in one line."""
 
 import json
+import os
 import shutil
 import struct
 import subprocess
@@ -289,3 +290,9 @@ def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
     said = done.stdout.splitlines()
     assert (done.returncode, len(said)) == (0, 4), done.stderr
     assert all(line.startswith(f"{position}") for line, position in zip(said, positions, strict=True))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
+def test_a_pipe_is_refused_before_anything_waits_for_it(tmp_path):
+    os.mkfifo(tmp_path / "film.mp4")
+    one_line(lambda: open_source(tmp_path / "film.mp4"), "film.mp4: no such file or folder, expected a dataset")
