@@ -109,14 +109,8 @@ def generate(
     if len(outcome.failed) > listed:
         print(f"synthcam: and {len(outcome.failed) - listed} more clips", file=sys.stderr)
     seconds = time.monotonic() - started
-    summary = {
-        "dataset": str(output),
-        "clips": plan.total,
-        "made": outcome.made,
-        "failed": len(outcome.failed),
-        "failures": list(outcome.failed),
-        "seconds": round(seconds, 2),
-    }
+    summary: dict[str, Any] = {"dataset": str(output), "clips": plan.total, "made": outcome.made}
+    summary |= {"failed": len(outcome.failed), "failures": list(outcome.failed), "seconds": round(seconds, 2)}
     made = f"{plan.total} clips, {outcome.made} of them made in this run, in {seconds:.1f} s"
     _print_result(summary, as_json, f"{output}: {made}")
     if outcome.failed:
@@ -177,15 +171,8 @@ def stream(
     for line in outcome.left_out:
         _print_hint(line)
     seconds = time.monotonic() - started
-    summary = {
-        "output": str(output),
-        "format": kind,
-        "clips": plan.clips,
-        "shards": outcome.shards,
-        "frames": outcome.frames,
-        "left_out": list(outcome.left_out),
-        "seconds": round(seconds, 2),
-    }
+    summary: dict[str, Any] = {"output": str(output), "format": kind, "clips": plan.clips, "shards": outcome.shards}
+    summary |= {"frames": outcome.frames, "left_out": list(outcome.left_out), "seconds": round(seconds, 2)}
     made = f"{outcome.shards} shards with {outcome.frames} frames made in this run, in {seconds:.1f} s"
     _print_result(summary, as_json, f"{output}: {plan.clips} clips, {made}")
 

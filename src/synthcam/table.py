@@ -5,13 +5,11 @@ heights of the corners are such that the rounded line passes through the values.
 straight and levels off within a twentieth of the range.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -20,6 +18,92 @@ from synthcam_shared.arrays import Array
 RELATIVE_TOLERANCE = 1e-9  # closer values, or edges of pieces, are the same
 GAUSSIAN_WIDTH = 0.75  # over the mean spacing: curve and straight lines differ little
 GAUSSIAN_REACH = 9.0  # standard deviations: beyond, a Gaussian is zero in double precision
+
+
+@dataclass(frozen=True)
+class _RoundedLines:
+    """Lines that are straight between points except for their corners, which Gaussians round."""
+
+    x: Array  # points (n,) at which the lines have heights
+    period: float  # 0 for lines with ends
+    corners: Array  # their positions (k,)
+    width: Array  # standard deviations (k,) of their Gaussians
+    bend: Array  # change (k, n) of slope at each corner for the line of height 1 at one point and 0 at the others
+
+    @classmethod
+    def of(cls, x: Array, period: float = 0.0) -> Self:
+        if period:
+            return cls._make_periodic(x, period)
+        level_share = 0.05  # of the range: so far beyond its ends the curve is level
+        gap, reach = np.diff(x), level_share * (x[-1] - x[0])
+        slope = _slopes(gap, np.arange(len(x)), len(x))
+        bend = np.concatenate([slope[:1], np.diff(slope, axis=0), -slope[-1:]])
+        ends = [reach / (GAUSSIAN_REACH - 1)]
+        width = np.concatenate([ends, GAUSSIAN_WIDTH * (gap[1:] + gap[:-1]) / 2, ends])
+        return cls(x, 0.0, np.concatenate([[x[0] - reach], x[1:-1], [x[-1] + reach]]), width, bend)
+
+    @classmethod
+    def _make_periodic(cls, x: Array, period: float) -> Self:
+        """Make periodic lines over as many turns to either side as the Gaussians reach."""
+        gap = np.diff(np.append(x, x[0] + period))
+        width = GAUSSIAN_WIDTH * (gap + np.roll(gap, 1)) / 2
+        turns = np.arange(-1, 2) * (1 + math.ceil(GAUSSIAN_REACH * width.max() / period))
+        turns = np.arange(turns[0], turns[-1] + 1)
+        places = np.concatenate([x + period * t for t in turns])
+        slope = _slopes(np.diff(places), np.arange(len(places)) % len(x), len(x))
+        bend = np.concatenate([slope[:1], np.diff(slope, axis=0), -slope[-1:]])
+        return cls(x, period, places, np.tile(width, len(turns)), bend)
+
+    def inside(self, where: Any) -> Array:
+        """Move points into the first turn, or to the range within which the curve is not level."""
+        if self.period:
+            return np.asarray(self.x[0] + np.mod(np.asarray(where) - self.x[0], self.period))
+        return np.asarray(np.clip(where, *self._ends))
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        if self.period:
+            return float(self.x[0]), float(self.x[0] + self.period)
+        reach = GAUSSIAN_REACH * self.width
+        return float((self.corners - reach).min()), float((self.corners + reach).max())
+
+    def through(self, values: Array) -> Array:
+        """Return the heights (n, ...) with which the rounded line passes through values (n, ...). Raises ValueError."""
+        worst_condition = 1e8  # beyond, the points are too uneven for the rounded line to follow the values
+        matrix = self.pieces(np.eye(len(self.x)))(self.x)
+        if not np.linalg.cond(matrix) < worst_condition:
+            raise ValueError("x: expected points that are spaced more evenly")
+        return np.asarray(np.linalg.solve(matrix, values.reshape(len(self.x), -1)).reshape(values.shape))
+
+    def pieces(self, heights: Array) -> Any:
+        """Return rounded lines of heights (n, lines) as piecewise polynomials that map points to (..., lines).
+
+        A corner of width w at the distance z w adds w R(z), R = z P(z) + p(z), with the normal density p and its
+        integral P. The m-th derivative of p is (-1)^m He_m(z) p(z), with the Hermite polynomials He_m.
+        """
+        from scipy.interpolate import PPoly
+        from scipy.special import ndtr
+
+        low, high = self._ends
+        piece, terms = 0.5, 17  # length in standard deviations; the first term left out is 1e-16 of a corner
+        steps = piece * np.arange(-round(GAUSSIAN_REACH / piece), round(GAUSSIAN_REACH / piece) + 1)
+        breaks = np.unique(np.clip((self.corners[:, None] + self.width[:, None] * steps).ravel(), low, high))
+        breaks = np.append(breaks[:-1][np.diff(breaks) > RELATIVE_TOLERANCE * (high - low)], high)
+        breaks[0] = low
+        bend = self.bend @ heights
+        z = (breaks[:-1, None] - self.corners) / self.width
+        near = abs(z) < GAUSSIAN_REACH - RELATIVE_TOLERANCE
+        density = np.where(near, np.exp(-z * z / 2) / math.sqrt(2 * math.pi), 0.0)
+        risen = np.where(near, ndtr(z), z > 0)
+        out = np.empty((terms, len(z), heights.shape[1]))
+        out[-1] = (self.width * (z * risen + density)) @ bend + heights[0]
+        out[-2] = risen @ bend
+        last, hermite = np.zeros_like(z), np.ones_like(z)
+        for m in range(terms - 2):
+            scale = (-1) ** m / math.factorial(m + 2)
+            out[-3 - m] = (scale * hermite * density * self.width ** (-1.0 - m)) @ bend
+            last, hermite = hermite, z * hermite - m * last
+        return PPoly(out, breaks)
 
 
 @dataclass(frozen=True)
@@ -121,92 +205,6 @@ class SmoothTable:
 
 
 Table = SmoothTable  # effect files that `discrepancy adopt` wrote of 0.1 import this name
-
-
-@dataclass(frozen=True)
-class _RoundedLines:
-    """Lines that are straight between points except for their corners, which Gaussians round."""
-
-    x: Array  # points (n,) at which the lines have heights
-    period: float  # 0 for lines with ends
-    corners: Array  # their positions (k,)
-    width: Array  # standard deviations (k,) of their Gaussians
-    bend: Array  # change (k, n) of slope at each corner for the line of height 1 at one point and 0 at the others
-
-    @classmethod
-    def of(cls, x: Array, period: float = 0.0) -> _RoundedLines:
-        if period:
-            return cls._make_periodic(x, period)
-        level_share = 0.05  # of the range: so far beyond its ends the curve is level
-        gap, reach = np.diff(x), level_share * (x[-1] - x[0])
-        slope = _slopes(gap, np.arange(len(x)), len(x))
-        bend = np.concatenate([slope[:1], np.diff(slope, axis=0), -slope[-1:]])
-        ends = [reach / (GAUSSIAN_REACH - 1)]
-        width = np.concatenate([ends, GAUSSIAN_WIDTH * (gap[1:] + gap[:-1]) / 2, ends])
-        return cls(x, 0.0, np.concatenate([[x[0] - reach], x[1:-1], [x[-1] + reach]]), width, bend)
-
-    @classmethod
-    def _make_periodic(cls, x: Array, period: float) -> _RoundedLines:
-        """Make periodic lines over as many turns to either side as the Gaussians reach."""
-        gap = np.diff(np.append(x, x[0] + period))
-        width = GAUSSIAN_WIDTH * (gap + np.roll(gap, 1)) / 2
-        turns = np.arange(-1, 2) * (1 + math.ceil(GAUSSIAN_REACH * width.max() / period))
-        turns = np.arange(turns[0], turns[-1] + 1)
-        places = np.concatenate([x + period * t for t in turns])
-        slope = _slopes(np.diff(places), np.arange(len(places)) % len(x), len(x))
-        bend = np.concatenate([slope[:1], np.diff(slope, axis=0), -slope[-1:]])
-        return cls(x, period, places, np.tile(width, len(turns)), bend)
-
-    def inside(self, where: Any) -> Array:
-        """Move points into the first turn, or to the range within which the curve is not level."""
-        if self.period:
-            return np.asarray(self.x[0] + np.mod(np.asarray(where) - self.x[0], self.period))
-        return np.asarray(np.clip(where, *self._ends))
-
-    @property
-    def _ends(self) -> tuple[float, float]:
-        if self.period:
-            return float(self.x[0]), float(self.x[0] + self.period)
-        reach = GAUSSIAN_REACH * self.width
-        return float((self.corners - reach).min()), float((self.corners + reach).max())
-
-    def through(self, values: Array) -> Array:
-        """Return the heights (n, ...) with which the rounded line passes through values (n, ...). Raises ValueError."""
-        worst_condition = 1e8  # beyond, the points are too uneven for the rounded line to follow the values
-        matrix = self.pieces(np.eye(len(self.x)))(self.x)
-        if not np.linalg.cond(matrix) < worst_condition:
-            raise ValueError("x: expected points that are spaced more evenly")
-        return np.asarray(np.linalg.solve(matrix, values.reshape(len(self.x), -1)).reshape(values.shape))
-
-    def pieces(self, heights: Array) -> Any:
-        """Return rounded lines of heights (n, lines) as piecewise polynomials that map points to (..., lines).
-
-        A corner of width w at the distance z w adds w R(z), R = z P(z) + p(z), with the normal density p and its
-        integral P. The m-th derivative of p is (-1)^m He_m(z) p(z), with the Hermite polynomials He_m.
-        """
-        from scipy.interpolate import PPoly
-        from scipy.special import ndtr
-
-        low, high = self._ends
-        piece, terms = 0.5, 17  # length in standard deviations; the first term left out is 1e-16 of a corner
-        steps = piece * np.arange(-round(GAUSSIAN_REACH / piece), round(GAUSSIAN_REACH / piece) + 1)
-        breaks = np.unique(np.clip((self.corners[:, None] + self.width[:, None] * steps).ravel(), low, high))
-        breaks = np.append(breaks[:-1][np.diff(breaks) > RELATIVE_TOLERANCE * (high - low)], high)
-        breaks[0] = low
-        bend = self.bend @ heights
-        z = (breaks[:-1, None] - self.corners) / self.width
-        near = abs(z) < GAUSSIAN_REACH - RELATIVE_TOLERANCE
-        density = np.where(near, np.exp(-z * z / 2) / math.sqrt(2 * math.pi), 0.0)
-        risen = np.where(near, ndtr(z), z > 0)
-        out = np.empty((terms, len(z), heights.shape[1]))
-        out[-1] = (self.width * (z * risen + density)) @ bend + heights[0]
-        out[-2] = risen @ bend
-        last, hermite = np.zeros_like(z), np.ones_like(z)
-        for m in range(terms - 2):
-            scale = (-1) ** m / math.factorial(m + 2)
-            out[-3 - m] = (scale * hermite * density * self.width ** (-1.0 - m)) @ bend
-            last, hermite = hermite, z * hermite - m * last
-        return PPoly(out, breaks)
 
 
 def _slopes(gap: Array, columns: Any, count: int) -> Array:

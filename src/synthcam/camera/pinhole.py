@@ -117,18 +117,13 @@ class PinholeCamera:
         square = x * x + y * y
         radial = 1 + square * (k1 + square * (k2 + square * k3))
         rise = 2 * (k1 + square * (2 * k2 + square * 3 * k3))  # d radial / dx = rise x
-        bent = np.stack(
-            [
-                x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
-                y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
-            ],
-            axis=-1,
-        )
+        bent_x = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+        bent_y = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
         mixed = rise * x * y + 2 * p1 * x + 2 * p2 * y
         xx = radial + rise * x * x + 2 * p1 * y + 6 * p2 * x
         yy = radial + rise * y * y + 6 * p1 * y + 2 * p2 * x
         bend = np.stack([np.stack([xx, mixed], -1), np.stack([mixed, yy], -1)], -2)
-        return bent, bend
+        return np.stack([bent_x, bent_y], -1), bend
 
 
 def locate_glint(camera: PinholeCamera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array:

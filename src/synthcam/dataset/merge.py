@@ -126,14 +126,8 @@ def _copy_clip(shard: Path, sums: dict[str, str], number: int, made: PartialData
     files = [f for f in sums if f.startswith(name)]
     if not files:
         raise InputError(f"{shard}: clip {number} is missing in its SHA256SUMS")
-    files_of_clip = VIDEO_FILES | {
-        VIDEO,
-        "camera.json",
-        "truth/scene.json",
-        "truth/tracks.parquet",
-        "truth/events.parquet",
-        "truth/energy.parquet",
-    }
+    of_truth = (f"truth/{each}" for each in ("scene.json", "tracks.parquet", "events.parquet", "energy.parquet"))
+    files_of_clip = VIDEO_FILES | {VIDEO, "camera.json", *of_truth}
     if strange := next((f for f in files if f.removeprefix(name) not in files_of_clip), None):
         raise InputError(f"{shard}: {strange}: not a file of a clip")
     final, truth = made.clip(number)

@@ -134,14 +134,10 @@ class Clip:
         ValueError
             If the model has no motion for this launch.
         """
-        return Motion(
-            self.view.motion,
-            self.camera.fps,
-            tuple(self.launch.bodies.radius.tolist()),
-            self.table.walls,
-            list_screen_colours(self.drawn, self.launch.bodies.labels, list_kinds(self.drawn)),
-            self.orientation if self.heights.any() else None,
-        )
+        bodies, orientation = self.launch.bodies, self.orientation if self.heights.any() else None
+        colours = list_screen_colours(self.drawn, bodies.labels, list_kinds(self.drawn))
+        radius, walls = tuple(bodies.radius.tolist()), self.table.walls
+        return Motion(self.view.motion, self.camera.fps, radius, walls, colours, orientation)
 
     def pictures(self, every: int = 1) -> Iterator[Counts]:
         """Render and expose the frames one after the other, for clips too long for memory.

@@ -29,12 +29,8 @@ class BallFinish:
     @property
     def mean(self) -> Array:
         """Reflectance of the ball as a whole."""
-        share = {
-            "plain": 0.0,
-            "half": 0.5,
-            "stripe": STRIPE_HALF_WIDTH,
-            "spots": len(SPOT_CENTRES) * (1 - SPOT_COSINE) / 2,
-        }[self.pattern]
+        spots = len(SPOT_CENTRES) * (1 - SPOT_COSINE) / 2
+        share = {"plain": 0.0, "half": 0.5, "stripe": STRIPE_HALF_WIDTH, "spots": spots}[self.pattern]
         return np.asarray((1 - share) * np.array(self.colour) + share * np.array(self.second))
 
     def paint(self, normals: Array, sharp: float) -> Array:

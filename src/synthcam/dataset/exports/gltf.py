@@ -55,12 +55,8 @@ def _light_room(clip: Clip) -> dict[str, Any]:
     assert clip.finish
     intensities = _intensities(clip.lamp, 1.0)
     white = np.pi * clip.sensor.glint_peak / (2**clip.sensor.bits - 1) / _light_origin(clip.lamp, intensities)
-    return {
-        "lamps": [(lamp, each * white) for lamp, each in zip(clip.lamp.all, intensities, strict=True)],
-        "roughness": 0.3,
-        "plate": clip.finish.plate * (3 // clip.finish.channels),
-        "dull": True,
-    }
+    lamps = [(lamp, each * white) for lamp, each in zip(clip.lamp.all, intensities, strict=True)]
+    return {"lamps": lamps, "roughness": 0.3, "plate": clip.finish.plate * (3 // clip.finish.channels), "dull": True}
 
 
 def _light_mirrors(clip: Clip) -> dict[str, Any]:
@@ -80,12 +76,8 @@ def _light_mirrors(clip: Clip) -> dict[str, Any]:
     plate = BLACK_PLATE_RADIANCE * clip.room * white * lit / _light_origin(first, candela)
     seen = np.sqrt(_area(first) / np.pi) / np.linalg.norm(first.position - rest[0, 0])  # half-angle of the lamp, rad
     slope = np.hypot(clip.surface.roughness, seen / 4)  # rms: a mirror that throws a point as wide as the lamp
-    return {
-        "lamps": list(zip(first.all, candela, strict=True)),
-        "roughness": float(min(1.0, np.sqrt(np.sqrt(2) * slope))),
-        "plate": min(1.0, 4 * np.pi * plate),
-        "dull": False,
-    }
+    roughness, lamps = float(min(1.0, np.sqrt(np.sqrt(2) * slope))), list(zip(first.all, candela, strict=True))
+    return {"lamps": lamps, "roughness": roughness, "plate": min(1.0, 4 * np.pi * plate), "dull": False}
 
 
 def _intensities(first: Lamp, unit: float) -> list[float]:

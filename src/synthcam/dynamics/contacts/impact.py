@@ -173,13 +173,9 @@ def find_contact_coefficients(
             "obliqueness": abs(ax * ny - ay * nx) / speed,
         }
         r = model.laws("restitution", r, approach_direction | {"normal_speed": np.maximum(np.atleast_1d(v_n), 0.0)})
-        instant = approach_direction | {
-            "contact_speed": np.sqrt(sum(np.atleast_1d(x * x) for x in u)),
-            "normal_impulse": np.atleast_1d((1 + r) * v_n / 2),
-            "approach_speed": speed,
-            "inertia": inertia,
-        }
-        c = model.laws("spin_transfer", c, instant)
+        slip, impulse = np.sqrt(sum(np.atleast_1d(x * x) for x in u)), np.atleast_1d((1 + r) * v_n / 2)
+        instant = approach_direction | {"contact_speed": slip, "normal_impulse": impulse, "approach_speed": speed}
+        c = model.laws("spin_transfer", c, instant | {"inertia": inertia})
         if isinstance(v_n, float):
             r, c = (float(np.ravel(x)[0]) for x in (r, c))
     if isinstance(v_n, float):

@@ -102,16 +102,6 @@ class RigidGroup:
         return {pair for pair, strength in self.bonds.items() if body in pair and strength < impulse}
 
 
-@dataclass(frozen=True)
-class GroupImpact:
-    """The outcome of an impact of two groups, or of a group and a wall. Impulses, N s, are on the first group."""
-
-    one: RigidGroup
-    two: RigidGroup | None
-    impulse_n: float
-    impulse_t: float
-
-
 def find_meeting_velocities(
     one: RigidGroup, two: RigidGroup | None, point: Vector, n: Vector
 ) -> tuple[float, float, float, float]:
@@ -128,8 +118,11 @@ def find_meeting_velocities(
 
 def collide_groups(
     one: RigidGroup, two: RigidGroup | None, point: Vector, n: Vector, restitution: float, friction: float
-) -> GroupImpact:
-    """Let two rigid groups hit. friction: the tangential impulse over the one that would make the contact stick."""
+) -> tuple[RigidGroup, RigidGroup | None, float, float]:
+    """Let two rigid groups hit, or one a wall; return them, and the impulses on the first along n and z x n, N s.
+
+    friction: the tangential impulse over the one that would make the contact stick.
+    """
     t = (-n[1], n[0])
 
     def push(impulse: float, along: Vector) -> None:
@@ -143,7 +136,7 @@ def collide_groups(
     v_n, _, soft_n, _ = find_meeting_velocities(one, two, point, n)
     impulse_n = max((1 + restitution) * v_n / soft_n, 0.0)
     push(impulse_n, n)
-    return GroupImpact(one, two, impulse_n, impulse_t)
+    return one, two, impulse_n, impulse_t
 
 
 def find_connected(bonds: Collection[tuple[int, int]], *balls: int) -> set[int]:

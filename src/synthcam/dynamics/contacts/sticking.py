@@ -94,15 +94,14 @@ class StickingBodies:
         r, c = find_contact_coefficients(model, v_n, slip, relative, n, k)
         if change:
             r, c = change.change_restitution(r, v_n), c * change.friction
-        done = collide_groups(one, two, point, n, r, 2 * c * (1 + k))
-        if broken := one.break_bonds(i, done.impulse_n) | two.break_bonds(j, done.impulse_n):
+        new_one, new_two, impulse_n, impulse_t = collide_groups(one, two, point, n, r, 2 * c * (1 + k))
+        if broken := one.break_bonds(i, impulse_n) | two.break_bonds(j, impulse_n):
             events = self.part(t, broken)
             more, after = self.collide(t, i, j, states, change)
             rest = {k: s for k, s in states.items() if k not in after}
             return events + more, after | rest
-        assert done.two is not None
-        after = done.one.states() | done.two.states()
-        impulse_n, impulse_t, together = done.impulse_n, done.impulse_t, []
+        assert new_two is not None
+        after, together = new_one.states() | new_two.states(), []
         if (strength := max(self.strength[k] for k in (i, j))) > 0:
             own = {k: states[k] for k in (*one.places, *two.places)}
             whole = RigidGroup.join(own, self.bodies, {})
@@ -129,14 +128,14 @@ class StickingBodies:
         r = change.change_restitution(wall.restitution, v_n) if change else wall.restitution
         most = wall.friction * (1 + r) * v_n / soft_n * soft_t
         friction = min(1 + wall.tangential_restitution, most / max(abs(u_t), 1e-300))
-        done = collide_groups(one, None, point, n, r, friction)
-        if broken := one.break_bonds(i, done.impulse_n):
+        new_one, _, impulse_n, impulse_t = collide_groups(one, None, point, n, r, friction)
+        if broken := one.break_bonds(i, impulse_n):
             events = self.part(t, broken)
             more, after = self.bounce(t, i, number, wall, states, change)
             return events + more, {k: s for k, s in states.items() if k not in after} | after
-        after = done.one.states()
+        after = new_one.states()
         early, late = (np.array([s[i]]) for s in (states, after))
-        return [Event(t, "wall", i, number, early, late, n, done.impulse_n, done.impulse_t)], after
+        return [Event(t, "wall", i, number, early, late, n, impulse_n, impulse_t)], after
 
     def _group_of(self, k: int, states: Mapping[int, State]) -> RigidGroup:
         return self._join({member: states[member] for member in self.find_fellows(k)})
