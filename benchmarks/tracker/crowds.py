@@ -1,6 +1,6 @@
 """Crowds from true positions with noise: identities beside trackpy and laptrack, contacts, and the physics of a film.
 
-python -m benchmarks.tracker.crowds [--films 20] [-o out/crowds.json] [--figure out/crowds.png]   # or make bench-crowds
+python -m benchmarks.tracker.crowds [--films 20] [--short] [-o JSON] [--figure PNG]   # or make bench-crowds
 
 No film is rendered. Positions are those of the simulation with 0.05 px noise; a hundredth is missing, and each frame
 has one false spot in the mean. All linkers get the same positions in the same run. trackpy predicts by the nearest
@@ -145,14 +145,16 @@ def main() -> None:
     parser.add_argument("--films", type=int, default=20)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out/crowds.json")
     parser.add_argument("--figure", type=Path, default=ROOT / "out/crowds.png")
+    parser.add_argument("--short", action="store_true", help="without the two long films")
     given = parser.parse_args()
+    long_films: dict[str, Callable[[], Clip]] = {
+        "crowd of 30, 1000 frames": lambda: Scene.read("crowd", timing={"frames": 1000}).draw(seed=1),
+        "100 balls that cool, 500 frames": lambda: make_tray(0.3, 500),
+    }
     figures: dict[str, Any] = {"linking": [score_linkers(make_tray(speed, 60)) for speed in SPEEDS]}
     print(*figures["linking"], sep="\n", flush=True)
-    for name, clip in (
-        ("crowd of 30, 1000 frames", Scene.read("crowd", timing={"frames": 1000}).draw(seed=1)),
-        ("100 balls that cool, 500 frames", make_tray(0.3, 500)),
-    ):
-        figures[name] = score_linkers(clip)
+    for name, make in ({} if given.short else long_films).items():
+        figures[name] = score_linkers(make())
         print(name, figures[name], flush=True)
     figures["contacts"] = measure_films("crowd", given.films)
     print({name: value for name, value in figures["contacts"].items() if name != "films"})
