@@ -4,18 +4,15 @@ A mirror ball shows the room within .71 of its radius, brightest in the middle, 
 a bright ground its own edge shows too. Either gives the radius.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array, Flags
 from tracker.detection.candidates import EmptyPlate
 from tracker.detection.detector import OutlineRadius
 from tracker.detection.glints import Glints
@@ -79,7 +76,7 @@ def _mean(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, sigma: float
     return total / len(chosen), np.where(core, 0.0, math.sqrt(len(chosen)) / plate.noise)
 
 
-def _is_only_glint(glints: Glints) -> NDArray[np.bool_]:
+def _is_only_glint(glints: Glints) -> Flags:
     """Which glints are the only one of their frame within the window."""
     alone = np.ones(len(glints), dtype=bool)
     for number in np.unique(glints.frame).tolist():

@@ -1,7 +1,5 @@
 """A camera file from a video of balls of known diameter: scale, glint width and noise."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import eigh, null_space
 from scipy.special import stdtr
 
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from tracker.calibration.free_stretches import FreeStretch, FrictionPrior, find_free_stretches, fit_stretch
@@ -28,7 +28,6 @@ from tracker.camera.warp import Warp
 from tracker.measurement.positions import to_ball_tracks
 from tracker.results import read_clip
 
-Floats = NDArray[np.float64]
 VALIDATION_FOLDS = 8
 SMOOTHNESS = np.logspace(-8, 8, 65)  # ratios of the prior's precision to that of the positions that are tried
 
@@ -37,12 +36,12 @@ SMOOTHNESS = np.logspace(-8, 8, 65)  # ratios of the prior's precision to that o
 class SplineField:
     """Displacement fields of a rectangle: tensor products of cubic B-splines, for x and for y."""
 
-    low: Floats
-    high: Floats
+    low: Array
+    high: Array
     intervals: tuple[int, int]
 
     @staticmethod
-    def over(position: Floats) -> SplineField:
+    def over(position: Array) -> SplineField:
         """The fields over all positions (n, 2)."""
         min_intervals, max_intervals = 3, 16  # of the splines, along either side, and along the longer one
         positions_per_cell = 40  # at least, in the mean over the cells of the splines
@@ -58,18 +57,18 @@ class SplineField:
         """Mean distance of the knots along either axis, m: displacements this far apart are nearly independent."""
         return float(np.mean((self.high - self.low) / self.intervals))
 
-    def basis(self, position: Floats, orders: tuple[int, int] = (0, 0)) -> Floats:
+    def basis(self, position: Array, orders: tuple[int, int] = (0, 0)) -> Array:
         """Values (n, k) of the k splines, or derivatives of these orders, at positions (n, 2)."""
         one, other = (self._along(position[:, axis], axis, orders[axis]) for axis in (0, 1))
         return np.asarray((one[:, :, None] * other[:, None, :]).reshape(len(position), -1))
 
-    def _along(self, at: Floats, axis: int, order: int) -> Floats:
+    def _along(self, at: Array, axis: int, order: int) -> Array:
         low, high, n = self.low[axis], self.high[axis], self.intervals[axis]
         knots = low + (high - low) / n * np.arange(-3, n + 4)
         splines = BSpline(knots, np.eye(n + 3), 3)
         return np.asarray(splines(np.clip(at, low, high), nu=order), dtype=np.float64)
 
-    def roughness(self) -> Floats:
+    def roughness(self) -> Array:
         """Matrix (k, k) of the integral of the squared second derivatives, with a weak prior of the size."""
         grid = [
             self.low[a] + (self.high[a] - self.low[a]) * (np.arange(4 * n) + 0.5) / (4 * n)
@@ -99,8 +98,8 @@ class _NormalEquations(NamedTuple):
 class _Posterior:
     """Coefficients of the displacements: mean, and a root (p, p) of their covariance; the chosen smoothness."""
 
-    mean: Floats
-    root: Floats
+    mean: Array
+    root: Array
     smoothness: float
 
 
@@ -221,8 +220,8 @@ class _WarpProblem:
 
     groups: Sequence[Sequence[FreeStretch]]
     field: SplineField
-    constraint: Floats
-    prior: Floats
+    constraint: Array
+    prior: Array
     friction: FrictionPrior
 
     @staticmethod
@@ -265,7 +264,7 @@ class _WarpProblem:
         root = axes * np.sqrt(left[best] / sums.dof / shrunk)
         return _Posterior(axes @ (pull / shrunk), root, float(ratios[best]))
 
-    def repeat_at(self, mean: Floats, progress: Progress = lambda done, of: None) -> _WarpProblem:
+    def repeat_at(self, mean: Array, progress: Progress = lambda done, of: None) -> _WarpProblem:
         """The problem about these displacements, with a prior of friction as the corrected stretches show it."""
         friction = FrictionPrior.of([one.fit_again(self._shift(one.position, mean)) for one in self.stretches])
         groups = []
@@ -305,32 +304,32 @@ class _WarpProblem:
         before, after = (noise * float(np.sqrt(square / dof)) for square in (total, left))
         return before, after, float(stdtr(len(gains) - 1, -np.mean(gains) / max(error, 1e-300)))
 
-    def displace(self, coefficients: Floats) -> Floats:
+    def displace(self, coefficients: Array) -> Array:
         """Displacements (n, 2, ...) of all positions by coefficients (p, ...)."""
         return self._shift(np.concatenate([stretch.position for stretch in self.stretches]), coefficients)
 
-    def _shift(self, position: Floats, coefficients: Floats) -> Floats:
+    def _shift(self, position: Array, coefficients: Array) -> Array:
         basis = self.field.basis(position)
         return np.stack([basis @ (part @ coefficients) for part in np.split(self.constraint, 2)], axis=1)
 
-    def to_warp(self, coefficients: Floats) -> Warp:
+    def to_warp(self, coefficients: Array) -> Warp:
         """The displacements at the knots."""
         x, y, (dx, dy) = *self._knots, self._shift_knots(coefficients)
         return Warp(x, y, dx, dy)
 
     @cached_property
-    def _knots(self) -> tuple[Floats, Floats]:
+    def _knots(self) -> tuple[Array, Array]:
         """Knots x and y of a warp, twice as dense as those of the field."""
         low, high = self.field.low, self.field.high
         x, y = (np.linspace(low[a], high[a], 2 * self.field.intervals[a] + 1) for a in (0, 1))
         return x, y
 
-    def _shift_knots(self, coefficients: Floats) -> Floats:
+    def _shift_knots(self, coefficients: Array) -> Array:
         """Displacements (2, n, m) at the knots by coefficients (p,)."""
         at = np.stack(np.meshgrid(*self._knots), axis=-1)
         return np.moveaxis(self._shift(at.reshape(-1, 2), coefficients).reshape(at.shape), -1, 0)
 
-    def split_error(self, root: Floats) -> tuple[Floats, float]:
+    def split_error(self, root: Array) -> tuple[Array, float]:
         """Split the error of the displacements into its largest principal components and a rest.
 
         Each component is a map of one independent standard error. Together they hold 90 % of the variance at the
@@ -355,7 +354,7 @@ def _leave_out_bad(recordings: Sequence[Sequence[FreeStretch]]) -> list[list[Fre
     return [[stretch for stretch in one if stretch.chi2 / stretch.dof <= limit] for one in recordings]
 
 
-def _affine_free(field: SplineField, position: Floats) -> Floats:
+def _affine_free(field: SplineField, position: Array) -> Array:
     """Columns (2k, 2k - 6) of displacements that have no shift, turn or uniform strain over the positions."""
     basis = field.basis(position)
     centred = (position - position.mean(axis=0)) / np.ptp(position, axis=0).max()

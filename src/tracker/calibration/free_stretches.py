@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Ints
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import CUTTER, measure_path_noise
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -57,12 +55,12 @@ class FrictionPrior:
         return FrictionPrior(loss, loss_std, *_median_and_scatter(slides, gains, RULES.slide_scatter))
 
 
-def _median_and_scatter(values: Floats, weights: Floats, least: float) -> tuple[float, float]:
+def _median_and_scatter(values: Array, weights: Array, least: float) -> tuple[float, float]:
     """Weighted median, and weighted median distance from it as a standard deviation."""
     if len(values) < RULES.min_of_prior:
         return 0.0, float("inf")
 
-    def median(of: Floats) -> float:
+    def median(of: Array) -> float:
         order = np.argsort(of)
         return float(of[order][np.searchsorted(weights[order].cumsum(), weights.sum() / 2)])
 
@@ -77,15 +75,15 @@ class FreeStretch:
     residual: position minus motion, x of all positions before y, then the distances from a prior, in standard errors.
     """
 
-    time: Floats  # (n,), s
-    position: Floats  # (n, 2), m
-    std: Floats  # (n,), m
+    time: Array  # (n,), s
+    position: Array  # (n, 2), m
+    std: Array  # (n,), m
     end: float  # until when the ball slides, s from the first position
     loss: float  # acceleration of rolling, m/s^2; NaN where there is none
     slide: float  # acceleration of sliding, the same
     gain: float  # chi^2 that the slide explains
-    residual: Floats  # (2n + e,)
-    absorbed: Floats  # (2n + e, p), orthonormal columns of what the motion can absorb
+    residual: Array  # (2n + e,)
+    absorbed: Array  # (2n + e, p), orthonormal columns of what the motion can absorb
 
     @property
     def dof(self) -> int:
@@ -97,12 +95,12 @@ class FreeStretch:
         """Sum of squared residuals."""
         return float(self.residual @ self.residual)
 
-    def project(self, columns: Floats) -> Floats:
+    def project(self, columns: Array) -> Array:
         """Subtract from columns (2n, k), in standard errors, what the free motion absorbs: (2n + e, k)."""
         whole = np.concatenate([columns, np.zeros((len(self.residual) - len(columns), columns.shape[1]))])
         return np.asarray(whole - self.absorbed @ (self.absorbed.T @ whole))
 
-    def fit_again(self, shift: Floats, prior: FrictionPrior | None = None) -> FreeStretch:
+    def fit_again(self, shift: Array, prior: FrictionPrior | None = None) -> FreeStretch:
         """Fit the motion again, to positions that are shifted by (n, 2) m; the residuals stay those without the shift.
 
         To first order in the shift, such residuals do not depend on the shift but for what the motion can absorb.
@@ -128,7 +126,7 @@ def find_free_stretches(balls: Sequence[BallTrack], diameter: float) -> list[Fre
     return out
 
 
-def _fit_parts(ball: BallTrack, rows: NDArray[np.int64], changes: Floats, noise: float) -> list[FreeStretch]:
+def _fit_parts(ball: BallTrack, rows: Ints, changes: Array, noise: float) -> list[FreeStretch]:
     """Fit the motion of these rows; if it does not describe them, cut them where the velocity changes most."""
     if len(rows) < RULES.min_positions:
         return []
@@ -141,7 +139,7 @@ def _fit_parts(ball: BallTrack, rows: NDArray[np.int64], changes: Floats, noise:
     return [one for part in parts for one in _fit_parts(ball, part, changes, noise)]
 
 
-def fit_stretch(time: Floats, position: Floats, std: Floats, prior: FrictionPrior | None = None) -> FreeStretch:
+def fit_stretch(time: Array, position: Array, std: Array, prior: FrictionPrior | None = None) -> FreeStretch:
     """Fit a free stretch by a motion that rolls all along, or slides first if that is much better."""
     duration = float(time[-1] - time[0])
     rolling = _fit(time, position, std, 0.0, prior)
@@ -153,12 +151,12 @@ def fit_stretch(time: Floats, position: Floats, std: Floats, prior: FrictionPrio
 
 
 def _fit(
-    time: Floats, position: Floats, std: Floats, end: float, prior: FrictionPrior | None = None, steps: int = 6
+    time: Array, position: Array, std: Array, end: float, prior: FrictionPrior | None = None, steps: int = 6
 ) -> FreeStretch:
     """Fit the motion that slides until about `end`, s, and then rolls; with one step, exactly until then."""
     n, since = len(time), time - time[0]
     weight, target, loss = np.tile(1 / std, 2)[:, None], position.T.ravel(), 0.0
-    acceleration: Floats = np.zeros(2)
+    acceleration: Array = np.zeros(2)
     along, slides = _unit((since - since.mean()) @ position), end > 0
     for step in range(steps):
         late = np.maximum(since - end, 0.0)
@@ -203,5 +201,5 @@ def _fit(
     )
 
 
-def _unit(vector: Floats) -> Floats:
+def _unit(vector: Array) -> Array:
     return np.asarray(vector / max(float(np.hypot(*vector)), 1e-300))

@@ -1,7 +1,5 @@
 """A camera file from known points of the plate: perspective and lens of the camera's view."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -13,11 +11,12 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from tracker.calibration.plate_points import MIN_POINTS, PlatePoints, find_board, read_picture_size, read_points
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import VIEW_ERROR_COUNT
-from tracker.camera.lens import Array, distort
+from tracker.camera.lens import distort
 from tracker.camera.views import perturb_view, scale_at
 
 

@@ -1,7 +1,5 @@
 """Known points of the plate and where they are seen: from a table, or from a board in the picture."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +8,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from synthcam_shared.settings import did_you_mean
 from tracker.camera.camera_keys import format_wrong_value
-from tracker.camera.lens import Array
 from tracker.camera.readers.picture_folder import PICTURES, read_picture
 from tracker.camera.recordings import open_source
 from tracker.tables.content import FileContent

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from synthcam_shared.arguments import check_arguments
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_json import (
     BODIES,
@@ -26,7 +27,7 @@ from tracker.camera.camera_json import (
     read_source,
 )
 from tracker.camera.camera_keys import VIEW_ERROR_COUNT
-from tracker.camera.lens import Array, distort, find_mirror_normal, undistort
+from tracker.camera.lens import distort, find_mirror_normal, undistort
 from tracker.camera.sensor import SensorSpec
 from tracker.camera.warp import Warp
 

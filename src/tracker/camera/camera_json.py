@@ -16,10 +16,10 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError as InputError
 from synthcam_shared.settings import did_you_mean
 from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS, VIEW_ERROR_COUNT, format_wrong_value, read_json
-from tracker.camera.lens import Array
 from tracker.camera.sensor import SensorSpec
 from tracker.camera.warp import Warp
 

@@ -1,7 +1,5 @@
 """Limits of pictures, the reading of JSON files, and the words of messages about wrong values."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Notes on the camera file: what it leaves out, and where a film contradicts it."""
 
-from __future__ import annotations
-
 from tracker.camera.camera import Camera
 from tracker.notes import Note, NoteKind, make_notes
 

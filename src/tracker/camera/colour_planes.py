@@ -9,8 +9,6 @@ these shares. Their counts are uint8, whatever the depth of the film:
 - "#rrggbb": how near a pixel is to that colour, 200 on it and 0 as far from it as the usual colour of the film.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from typing import Any

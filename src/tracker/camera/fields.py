@@ -4,8 +4,6 @@ The lines of an interlaced frame are exposed in two turns, the even and the odd 
 edge then looks like a comb. Files of video may state it; those of frame grabbers and some converters do not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Wraps arrays as `Frames`: a film in memory, or one that numpy.save has written, read from the disk frame by frame."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any

@@ -11,9 +11,9 @@ from typing import Any, TypedDict
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from synthcam_shared.arguments import check_keywords
+from synthcam_shared.arrays import Flags
 from synthcam_shared.errors import InputError
 
 MAX_CORNER_PX = 1e6  # of a region, left or right of the origin
@@ -44,7 +44,7 @@ class RegionPart:
     corners: tuple[tuple[float, float], ...]
     outside: bool = False
 
-    def fill(self, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    def fill(self, shape: tuple[int, int]) -> Flags:
         """Tell which pixels (h, w) lie in it, by their centres."""
         y, x = np.ogrid[: shape[0], : shape[1]]
         if len(self.corners) == 2:
@@ -107,7 +107,7 @@ def parse_colour(text: str) -> str:
         raise InputError(f"--colour: unknown {text!r}, expected #rrggbb or a name such as orange") from None
 
 
-def read_search_area(region: str, mask: str, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+def read_search_area(region: str, mask: str, shape: tuple[int, int]) -> Flags | None:
     """Read the options --region and --mask of a film: the pixels (h, w) of the search, or None. Raises InputError."""
     if not region and not mask:
         return None

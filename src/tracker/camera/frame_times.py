@@ -1,19 +1,14 @@
 """Times of frames by the film's own clock: time stamps, numbers of pictures, repeated frames."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Ints
 from tracker.camera.frames import Frames
-from tracker.camera.lens import Array
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Flags, Ints
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import CHANNELS, LONGEST_SIDE, MOST_PIXELS, PLANES
 from tracker.camera.colour_planes import is_plane, read_plane
@@ -28,14 +29,14 @@ class Frames(Sequence[Any]):
     lossy = False  # whether they were encoded with loss
     fields = False  # whether they are the fields of interlaced frames, two of each
     aspect = 1.0  # width of a pixel over its height
-    seconds: NDArray[np.float64] | None = None  # time of each frame by that clock, where they are not evenly spaced
+    seconds: Array | None = None  # time of each frame by that clock, where they are not evenly spaced
     faults: tuple[str, ...] = ()  # of their file
     colours: Callable[[int], Any] | None = None  # red, green and blue (h, w, 3) of a frame, where the film has them
     contents: Any = None  # what a pass over a video found, for `read_video` to open it again without a pass
 
     def __init__(self, count: int, shape: tuple[int, int], dtype: Any, fetch: Callable[[int], Frame]) -> None:
         self.shape: tuple[int, int, int] = (count, *shape)
-        self.numbers: NDArray[np.int64] = np.arange(count)  # frame times after the first frame: jumps where some miss
+        self.numbers: Ints = np.arange(count)  # frame times after the first frame: jumps where some miss
         self.dtype = np.dtype(dtype)
         self._fetch = fetch
         self._kept: dict[int, Frame] = {}
@@ -87,7 +88,7 @@ class Frames(Sequence[Any]):
         out.numbers, out.seconds = self.numbers[rows], None if self.seconds is None else self.seconds[rows]
         return out
 
-    def crop(self, area: NDArray[np.bool_]) -> Frames:
+    def crop(self, area: Flags) -> Frames:
         """The smallest part of each frame that holds an area (h, w)."""
         rows, columns = np.flatnonzero(area.any(axis=1)), np.flatnonzero(area.any(axis=0))
         at = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
@@ -101,7 +102,7 @@ class Frames(Sequence[Any]):
             out.colours = lambda k: change(colours(k))
         return out
 
-    def take(self, rows: NDArray[np.int64]) -> Frames:
+    def take(self, rows: Ints) -> Frames:
         """Those frames alone, with their numbers and times."""
         out = self._share(Frames(len(rows), self.shape[1:], self.dtype, lambda k: self._fetch(int(rows[k]))))
         out.faults, colours = self.faults, self.colours
@@ -132,10 +133,7 @@ class Frames(Sequence[Any]):
         return out
 
     def select_channel(self, name: str) -> Frames:
-        """The frames in "red", "green", "blue" or a plane of `colour_planes`; "grey" is what they are.
-
-        Raises InputError for a film in grey.
-        """
+        """The frames in "red", "green", "blue" or a plane of `colour_planes`. Raises InputError for a film in grey."""
         if name not in CHANNELS and not is_plane(name):
             known = ", ".join((*CHANNELS, *PLANES))
             raise InputError(f"--channel: expected one of {known} or #rrggbb, not {name!r}")

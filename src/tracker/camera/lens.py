@@ -1,11 +1,8 @@
 """Reflection of a lamp at one or two spheres, and OpenCV's lens distortion with its inverse."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from synthcam_shared.arrays import Array
 
 
 def find_mirror_normal(centres: Array, radius: float, eye: Array, light: Array, start: Array | None = None) -> Array:

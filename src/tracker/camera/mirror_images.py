@@ -1,30 +1,26 @@
 """Locates what a ball mirrors besides the lamp: the zenith of the room, and the lamp as another ball mirrors it."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 
+from synthcam_shared.arrays import Array
 from tracker.camera.camera import Camera
-from tracker.camera.lens import Array, find_mirror_normal, find_secondary_mirror_normal
+from tracker.camera.lens import find_mirror_normal, find_secondary_mirror_normal
 
 
 def locate_zenith_point(camera: Camera, glints: ArrayLike, share: float) -> Array:
-    """Locate points (n, 2), px, on the line from the image of a ball's centre to where the ball mirrors the zenith.
+    """Locate points (n, 2), px, at a share of the way from the image of a ball's centre to where it mirrors the zenith.
 
-    The image of a room that is the same in all directions is symmetric about that line.
-
-    camera: without a lamp the glints themselves are returned; glints: (n, 2), px; share: of the way to the zenith's
-    image.
+    The image of a room that is the same in all directions is symmetric about that line. Without a lamp in the camera
+    the glints (n, 2), px, themselves are returned.
     """
     seen = np.asarray(glints, dtype=np.float64)
     if not camera.corrects_glint or seen.size == 0:
         return seen.copy()
     middle = camera.ball_of_glint(seen)
     overhead = np.concatenate([middle[..., :2], np.full_like(middle[..., :1], 1e6)], axis=-1)
-    zenith = camera.project(
-        middle + camera.radius * find_mirror_normal(middle, camera.radius, camera.position, overhead)
-    )
+    normal = find_mirror_normal(middle, camera.radius, camera.position, overhead)
+    zenith = camera.project(middle + camera.radius * normal)
     centre = camera.project(middle)
     return np.asarray(centre + share * (zenith - centre), dtype=np.float64)
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Flags
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from tracker.camera.camera import Camera
@@ -44,7 +44,7 @@ class Recording:
     frames: Frames
     notes: tuple[Note, ...] = ()
     channel: str = GREY
-    area: NDArray[np.bool_] | None = None  # (h, w): the pixels among which balls are searched; None: all
+    area: Flags | None = None  # (h, w): the pixels among which balls are searched; None: all
     balls: tuple[BallExample, ...] = ()  # that the user points at
     progress: Progress | None = None  # takes the frames searched for balls, and the frames in all
     helpers: HelperProcesses | None = None  # processes that may search some of the frames

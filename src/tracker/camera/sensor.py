@@ -1,13 +1,11 @@
 """The noise model of a pixel's count (EMVA 1288), and the count at which it clips."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

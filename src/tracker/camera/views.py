@@ -1,15 +1,13 @@
 """Compares the views of two cameras, changes a view by its standard errors, and gives its scale."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
+from synthcam_shared.arrays import Array
 from tracker.camera.camera import Camera
-from tracker.camera.lens import Array
 
 
 def perturb_view(camera: Camera, change: Array) -> Camera:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tracker.camera.lens import Array
+from synthcam_shared.arrays import Array
 
 if TYPE_CHECKING:
     from scipy.interpolate import RectBivariateSpline

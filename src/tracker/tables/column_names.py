@@ -1,7 +1,5 @@
 """Names of columns as programs and people write them: "Frame", "x (px)", "TRACK_ID", "pos_x [mm]"."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable

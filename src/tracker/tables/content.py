@@ -70,10 +70,7 @@ class FileContent:
 
     @cached_property
     def text(self) -> str:
-        """In the encoding that its mark says, in UTF-8, or in Latin-1, where any byte is a letter.
-
-        A binary table has none.
-        """
+        """In the encoding that its mark says, UTF-8, or Latin-1, where any byte is a letter; "" of a binary table."""
         if self.is_binary:
             return ""
         marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}

@@ -1,7 +1,5 @@
 """How a text writes a table: comment lines, the mark between cells, decimals, thousands, names of columns."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """Tracks from a file, whose format its content shows, or from a table in memory."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import pkgutil
@@ -71,10 +69,7 @@ def read_tracks(path: Path, camera: CameraSource, options: TableOptions = DEFAUL
 
 
 def recognise_format(content: FileContent) -> TrackTable:
-    """Read a table of tracks in the format that its content shows; an empty file is one without rows.
-
-    Raises InputError for what is none.
-    """
+    """Read a table of tracks in the format that its content shows; an empty file has no rows. Raises InputError."""
     every = list_table_formats().values()
     if not content.is_binary and not content.text.strip():
         note = f"{Path(content.where).name}: an empty file, a result without a detection"

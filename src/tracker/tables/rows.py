@@ -1,7 +1,5 @@
 """Rows of a table of tracks: checks its columns, converts rows to tracks and back; the columns of tracks.parquet."""
 
-from __future__ import annotations
-
 import math
 import re
 from io import BytesIO

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array, Ints
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import format_wrong_value
 from tracker.tables.rows import COVARIANCE, FIXED, to_numbers
@@ -117,7 +117,7 @@ def per_second(interval: float, unit: str) -> float:
     return 1.0 / (interval * seconds) if seconds and interval > 0 else math.nan
 
 
-def frames_from_times(times: NDArray[np.float64], where: str) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+def frames_from_times(times: Array, where: str) -> tuple[Ints, Array, float]:
     """Find frames and frame rate of a table with times alone; times that are even to a few digits are evened out."""
     steps = np.unique(times)
     if not np.isfinite(times).all() or len(steps) < 2:

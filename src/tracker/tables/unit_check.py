@@ -1,7 +1,5 @@
 """Check the unit of positions that say none: the distance of two balls that touch is a diameter in the right one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

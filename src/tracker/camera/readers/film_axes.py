@@ -1,7 +1,5 @@
 """Chooses which axis of a stack is time, and an entry of each other axis, such as channels and focal planes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -5,8 +5,6 @@ and columns. If the last axis has 3 or 4 entries, these are colours, and the two
 coordinate of the axis of time gives the times of frames.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Reads the pictures of a folder as a film, one at a time."""
 
-from __future__ import annotations
-
 import re
 from functools import lru_cache
 from pathlib import Path
@@ -10,8 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 import tifffile
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Ints
 from synthcam_shared.errors import InputError, first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
 from tracker.camera.frame_times import describe_missing, drop_copies
@@ -67,7 +65,7 @@ def read_picture_folder(folder: Path, options: FilmOptions = DEFAULT_OPTIONS) ->
     return drop_copies(frames, (lambda k: paths[k].stat().st_size, lambda k: paths[k].read_bytes()))
 
 
-def find_picture_numbers(names: list[str]) -> tuple[NDArray[np.int64] | None, str]:
+def find_picture_numbers(names: list[str]) -> tuple[Ints | None, str]:
     """Find the frame numbers in the names of pictures; None, with a note if need be, where names count no frames."""
     split = [re.split(r"(\d+)", name) for name in names]
     if len({tuple(parts[::2]) for parts in split}) > 1:

@@ -4,8 +4,6 @@ The metadata say which axis is time (ImageJ, OME, tifffile's own). If none is, t
 axes, such as channels and focal planes, are reduced to one entry, the first or the one that the user selects.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import struct
@@ -22,8 +20,8 @@ from typing import Any
 
 import numpy as np
 import tifffile
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Ints
 from synthcam_shared.errors import InputError, first_line
 from tracker.camera.film_options import DEFAULT_OPTIONS, FilmOptions
 from tracker.camera.frame_times import FilmClock, drop_copies, read_clock
@@ -39,7 +37,7 @@ class _Layout:
 
     plane: tuple[int, ...]  # shape of a page
     axes: str  # of a page, of Y, X, S
-    pages: NDArray[np.int64]  # of each frame, its page
+    pages: Ints  # of each frame, its page
     total: int  # pages in the file
     dtype: np.dtype[Any]
     offset: int | None

@@ -9,8 +9,6 @@ Times are the file's time stamps. Fields of interlaced frames become frames of t
 interpolation.
 """
 
-from __future__ import annotations
-
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
@@ -44,7 +42,7 @@ class VideoContents:
     tick: float
     fps: float
     promised: int  # frames that the file says it has; 0 where it does not say
-    length: float  # s, that the file says it has; 0 where it does not say
+    length: float  # that the file says it has, s; 0 where it does not say
     aspect: float
     streams: int
     times: list[int | None]
@@ -62,10 +60,7 @@ class VideoContents:
 
 
 def read_video(path: Path, options: FilmOptions = DEFAULT_OPTIONS, contents: VideoContents | None = None) -> Frames:
-    """Read the frames of a video; ``faults`` say what is wrong with its file.
-
-    contents: what a pass over the same file found, if there was one.
-    """
+    """Read the frames of a video; ``faults`` say what is wrong with it. contents: of an earlier pass over the file."""
     try:
         first_frame, found = _scan_video(path) if contents is None else (_read_first(path), contents)
     except (av.error.FFmpegError, StopIteration, IndexError):  # no video in it
