@@ -26,6 +26,7 @@ A run that was stopped continues: sets whose line the output has are not searche
 
 The tracks have small accelerations and distortions of their own. `own` is what the set without a cause shows of the
 effect, by one linear step from its base model. `z` is the error of the size, found less own, in its standard errors.
+`own_std` is the standard error of own along the cause. All sizes of a set share it, and z leaves it out.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ from tracker.measurement.positions import BallTrack, to_ball_tracks
 from tracker.measurement.stretch_cuts import measure_path_noise
 from tracker.tables.read import read_frame
 
-SHOWN = "set cause times strength shown named false size own std z verdict seconds".split()
+SHOWN = "set cause times strength shown named false size own own_std std z verdict seconds".split()
 ROLLING_SHARE, SLIP_SHARE = 5 / 7, 2 / 7  # of a push, and of the slip in the velocity, for a solid ball
 ON_CLOTH = {"restitution": 0.95, "sliding_friction": 0.2, "spin_transfer": 0.1, "rolling_decel": 0.04}
 ON_AIR = {"restitution": 0.8, "sliding_friction": 0.0, "rolling_decel": 0.02}
@@ -345,12 +346,14 @@ def judge(line: dict[str, Any], cause: Cause, bare: dict[str, Any]) -> dict[str,
     own = cause.unit * np.array(bare["own"].get(cause.effect, np.zeros(len(cause.strengths))))[: len(cause.strengths)]
     out: dict[str, Any] = {"shown": cause.effect in bare["information"], "named": bool(right or law), "false": wrong}
     out["own"] = own.tolist()
+    way = np.array([np.cos(cause.heading), np.sin(cause.heading)])[: len(own)]
+    if out["shown"]:
+        out["own_std"] = abs(cause.unit) * float(np.sqrt(way @ np.linalg.inv(bare["information"][cause.effect]) @ way))
     if right and right[0]["effect"] == cause.effect:
         values, stds = (
             cause.unit * np.array([right[0][kind].get(f"{cause.effect}.{s}", np.nan) for s in cause.strengths])
             for kind in ("values", "std")
         )
-        way = np.array([np.cos(cause.heading), np.sin(cause.heading)])[: len(values)]
         std = float(np.sqrt(np.nanmean(stds**2)))
         out |= {"size": float(values @ way), "found": values.tolist(), "std": std}
         out["z"] = float((values - own) @ way - line["strength"]) / std if std else None

@@ -76,3 +76,16 @@ def test_a_set_lies_in_the_middle_of_its_picture():
         assert np.ptp(after.xy - before.xy, axis=0) == pytest.approx(0, abs=1e-12)
         assert after.launch[:2] - before.launch[:2] == pytest.approx(after.xy[0] - before.xy[0])
         assert (after.launch[2:] == before.launch[2:]).all()
+
+
+def test_the_error_of_a_sets_own_acceleration_is_that_along_the_cause():
+    model = Model().replace({"sliding_friction": 0.2})
+    cause = next(one for one in real_causes.list_causes(model) if one.name == "acceleration to 110 deg")
+    bare = {"own": {"plate_tilt": [1e-3, 0.0]}, "information": {"plate_tilt": [[4e6, 0.0], [0.0, 1e6]]}}
+    claim = {"effect": "plate_tilt", "aliases": [], "values": {"plate_tilt.x": -3e-3, "plate_tilt.y": 1e-2}}
+    claim["std"] = {"plate_tilt.x": 2e-4, "plate_tilt.y": 2e-4}
+    line = real_causes.judge({"claims": [claim], "law": None, "strength": 0.1}, cause, bare)
+    along = np.cos(cause.heading), np.sin(cause.heading)
+    assert line["own_std"] == pytest.approx(9.81 * np.hypot(5e-4 * along[0], 1e-3 * along[1]))
+    assert line["size"] == pytest.approx(9.81 * (-3e-3 * along[0] + 1e-2 * along[1]))
+    assert line["z"] == pytest.approx((line["size"] - 9.81e-3 * along[0] - 0.1) / (9.81 * 2e-4))
