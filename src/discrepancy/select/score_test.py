@@ -340,9 +340,7 @@ def prepare_trial(
     bent = model.replace(shapes)
     slopes = [differentiate_tracks(bent, launches, evidence.clips, s, here) for s in candidate.strengths]
     columns = [np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))]
-    return CandidateTrial(
-        candidate, shapes, tuple(white(c) for white, c in zip(evidence.whiteners, columns, strict=True))
-    )
+    return CandidateTrial(candidate, shapes, evidence.whiten(columns))
 
 
 def _scanned(
@@ -360,8 +358,7 @@ def _scanned(
     every = scan_shapes(model, launches, evidence.clips, candidate, grid, here)
     shown = np.flatnonzero(np.any([e.any(axis=(0, 1, 3)) for e in every], axis=0))
     kept = shown.tolist() or [0]
-    both = zip(evidence.whiteners, every, strict=True)
-    white = [whiten(e[:, :, kept].reshape(*e.shape[:2], -1)) for whiten, e in both]
+    white = evidence.whiten([e[:, :, kept].reshape(*e.shape[:2], -1) for e in every])
     parts = [np.split(w, len(kept), axis=1) for w in white]
     return [
         CandidateTrial(candidate, grid[k], columns) for k, columns in zip(kept, zip(*parts, strict=True), strict=True)

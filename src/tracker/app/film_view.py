@@ -135,16 +135,14 @@ class FilmView:
         with self._lock:
             key = channel, k
             if key not in self._kept:
-                back = self._count_steps_back() if k + 1 == self._last else 0
+                back = 0
+                if k + 1 == self._last:
+                    back = min(STEPS_BACK, MAX_KEPT_BYTES // (2 * next(reversed(self._kept.values())).nbytes))
                 for row in range(max(k - back, 0), k + 1):
                     self._keep(row, channel)
             self._last = k
             self._kept.move_to_end(key)
             return self._kept[key]
-
-    def _count_steps_back(self) -> int:
-        size = next(reversed(self._kept.values())).nbytes
-        return min(STEPS_BACK, MAX_KEPT_BYTES // (2 * size))
 
     def _keep(self, k: int, channel: str) -> None:
         if (channel, k) not in self._kept:

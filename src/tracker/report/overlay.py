@@ -46,7 +46,8 @@ class Overlay:
         counts = np.arange(np.iinfo(self.frames.dtype).max + 1, dtype=np.float32)
         # the power makes dark parts brighter
         greys = (np.clip((counts - low) / (high - low), 0, 1) ** 0.75 * 255).astype(np.uint8)
-        times = self._magnification()
+        width = max(self.frames.shape[2], self.frames.shape[1])
+        times = float(min(2, self.max_width // width)) if width <= self.max_width else self.max_width / width
         for k in range(self.first, self.last + 1):
             frame: NDArray[np.integer[Any]] = np.asarray(self.frames[k])
             if times >= 1:
@@ -55,8 +56,8 @@ class Overlay:
                 large = greys[cv2.resize(frame, None, fx=times, fy=times, interpolation=cv2.INTER_AREA)]
             picture: Any = cv2.cvtColor(large, cv2.COLOR_GRAY2RGB)
             self._draw(picture, int(self.frames.numbers[k]), times)
-            height, width = (n - n % 2 for n in picture.shape[:2])  # H.264 needs even sizes
-            yield np.ascontiguousarray(picture[:height, :width])
+            height, across = (n - n % 2 for n in picture.shape[:2])  # H.264 needs even sizes
+            yield np.ascontiguousarray(picture[:height, :across])
 
     def _grey_range(self) -> tuple[float, float]:
         """Counts that are shown as black and as white, from at most 25 frames."""
@@ -70,10 +71,6 @@ class Overlay:
         low, high = below + part * (above - below), float(np.flatnonzero(pixels)[-1])
         return low, max(high, low + 1.0)
 
-    def _magnification(self) -> float:
-        width = max(self.frames.shape[2], self.frames.shape[1])
-        return float(min(2, self.max_width // width)) if width <= self.max_width else self.max_width / width
-
     def _draw(self, picture: Picture, k: int, times: float) -> None:
         tracks, radius = self.tracks, self.camera.diameter_px / 2
         recent = (tracks.frame <= k) & (tracks.frame > k - self.trail)
@@ -84,7 +81,12 @@ class Overlay:
             cv2.polylines(picture, [trail], False, colour, 1, cv2.LINE_AA, self.fraction_bits)
             for row in np.flatnonzero(mine & (tracks.frame == k)).tolist():
                 self._ball(picture, row, times * radius if self.camera.knows_diameter else 0.0, times, colour)
-        cv2.putText(picture, self._caption(k), (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
+        caption = f"frame {k}"
+        if self.camera.metric:
+            time = k / self.camera.fps
+            past = [event for at, event in self.events if at <= time]
+            caption += f"   {1e3 * time:.1f} ms   {past[-1] if past else ''}"
+        cv2.putText(picture, caption, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
 
     def _ball(self, picture: Picture, row: int, radius: float, times: float, colour: tuple[int, int, int]) -> None:
         tracks = self.tracks
@@ -96,13 +98,6 @@ class Overlay:
         at = (int(x) >> bits) + round(max(radius, 5)), (int(y) >> bits) - round(max(radius, 5))
         text = str(int(tracks.particle[row]))
         cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, lines)
-
-    def _caption(self, k: int) -> str:
-        if not self.camera.metric:
-            return f"frame {k}"
-        time = k / self.camera.fps
-        past = [event for at, event in self.events if at <= time]
-        return f"frame {k}   {1e3 * time:.1f} ms   {past[-1] if past else ''}"
 
     def _to_fixed_point(self, xy: NDArray[np.float64], times: float) -> NDArray[np.int32]:
         """Convert pixels of the recording to OpenCV's fixed-point coordinates of the overlay."""
