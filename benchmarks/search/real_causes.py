@@ -53,7 +53,6 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.real.hits import READERS, measure_hit
 from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, read_pucks
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.contacts import Contacts
 from discrepancy.data.launch import T_C, V0
@@ -62,6 +61,7 @@ from discrepancy.search import search
 from discrepancy.select.contact_effects import ContactClaim, select_contact_laws
 from discrepancy.wording import describe_search
 from synthcam.model import Model, as_model
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from tracker.calibration.camera_warp import fit_camera_warp
 from tracker.calibration.free_stretches import find_free_stretches

@@ -49,7 +49,7 @@ LAYERS = {
         "__main__",
     ],
     "discrepancy": [
-        "policy arrays time_left",
+        "policy time_left",
         "data",
         "noise",
         "fitting",

@@ -10,10 +10,9 @@ from itertools import product
 
 import numpy as np
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.launch import MEETS_NOTHING, T_C, B
 from discrepancy.policy import current_policy
-from synthcam_shared.arrays import inverse_roots
+from synthcam_shared.arrays import Array, Ints, inverse_roots
 from tracker.camera.camera import Camera
 
 

@@ -10,9 +10,8 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from discrepancy.arrays import Array, Ints
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.camera_errors import remove_shared, shared_effects
 from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER
 from tracker.measurement.local.recommendation import NONE, recommend
@@ -39,8 +38,8 @@ class Contacts:
 
     clip: Ints  # (n,)
     bodies: Ints  # (n, 2): the tracker's ids of the struck and the striking body in a film of a crowd; -1 in others
-    a_strikes: NDArray[np.bool_]  # (n,): whether ball a of the camera file strikes
-    glides: NDArray[np.bool_]  # (n,): whether the bodies glide, and do not roll
+    a_strikes: Flags  # (n,): whether ball a of the camera file strikes
+    glides: Flags  # (n,): whether the bodies glide, and do not roll
     speed_n: Array
     speed_t: Array
     slip_t: Array  # of the surfaces, across the line of centres in the plane, with the sign of the velocity, m/s
@@ -86,11 +85,11 @@ class Contacts:
         return np.hypot(self.speed_n, self.speed_t)
 
     @property
-    def of_crowd(self) -> NDArray[np.bool_]:
+    def of_crowd(self) -> Flags:
         """True for contacts (n,) of a crowd, in which a third body may meet two that are measured."""
         return np.asarray(self.bodies[:, 0] >= 0)
 
-    def select(self, rows: NDArray[np.bool_]) -> Self:
+    def select(self, rows: Flags) -> Self:
         """Some of the contacts."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 

@@ -11,12 +11,12 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtrc
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import pad_spins
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.data.track_checks import find_clock_start, measure_unevenness, move_to_even_times
 from discrepancy.policy import current_policy
+from synthcam_shared.arrays import Array, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import HIDDEN_SLIDE, MEASURED, MISFIT, TOGETHER, TOO_FEW, Flag

@@ -11,12 +11,11 @@ A striker with zero slip rolls. It has another past than a striker with a very s
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from discrepancy.arrays import Array
 from discrepancy.policy import current_policy
 from synthcam.dynamics.batch import LAUNCH_COLUMNS
 from synthcam.dynamics.launch import SPIN_COLUMNS
+from synthcam_shared.arrays import Array, Flags
 
 X, Y, T_C, V0, HEADING, B = range(len(LAUNCH_COLUMNS))
 SLIP, SIDE = slice(len(LAUNCH_COLUMNS), len(LAUNCH_COLUMNS) + 2), len(LAUNCH_COLUMNS) + 2
@@ -25,7 +24,7 @@ MEETS_NOTHING = 2.0  # the impact parameter of a ball that touches no other
 MAX_SPIN_TO_SPEED = 10.0  # a cue gives a slip or a spin of 3 to 4 times the speed
 
 
-def find_free_launch_columns(launches: Array) -> NDArray[np.bool_]:
+def find_free_launch_columns(launches: Array) -> Flags:
     """Which numbers of launches (clips, p) a fit may change.
 
     Not a rolling ball's slip, a side spin of zero, or time and impact parameter of a free ball.

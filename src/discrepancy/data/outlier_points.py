@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.policy import SearchPolicy, current_policy
+from synthcam_shared.arrays import Array, Flags, Ints
 
 NEIGHBOUR_FRAMES = 4  # frames to either side whose positions predict one between them
 ONE_SIDE_FRAMES = 7  # frames to one side whose positions predict the next one
@@ -147,7 +146,7 @@ class _Paths:
     max_rms: float  # of a path that needs no position left out, in claimed deviations
     window: Ints  # (n, w): rows
     ahead: Ints  # (n, w): by how many frames they are later; far where there is no such row
-    gone: NDArray[np.bool_]  # (n,)
+    gone: Flags  # (n,)
     unsure: float = 0.0  # a quarter of the time in which that event may be, frames
 
     @classmethod
@@ -199,11 +198,11 @@ class _Paths:
         nearest = some & (np.cumsum(some[:, ::direction], axis=1)[:, ::direction] <= 5)
         return self._fit_smoothest(nearest & (nearest.sum(axis=1) >= MIN_PATH_POSITIONS)[:, None])
 
-    def _in_phase(self, phase: Ints) -> NDArray[np.bool_]:
+    def _in_phase(self, phase: Ints) -> Flags:
         """Which rows of each window are in this phase (n,) and not removed: (n, w)."""
         return np.asarray((self.phase[self.window] == phase[:, None]) & ~self.gone[self.window])
 
-    def _fit_smoothest(self, near: NDArray[np.bool_]) -> _Parabolas:
+    def _fit_smoothest(self, near: Flags) -> _Parabolas:
         """The smoothest paths through these rows of each window, or through all but one, which may be an outlier."""
         best = self._fit(near)
         rough = ~(best.rest < self.max_rms) & (near.sum(axis=1) > MIN_PATH_POSITIONS)
@@ -214,7 +213,7 @@ class _Paths:
             best = _Parabolas(np.where((other.rest < best.rest)[:, None], other.values, best.values))
         return best
 
-    def _fit(self, near: NDArray[np.bool_]) -> _Parabolas:
+    def _fit(self, near: Flags) -> _Parabolas:
         """The paths through these rows of each window; those with the same frames are fitted together."""
         values = np.full((len(near), 6), np.nan)
         frames = np.where(near, 1 << np.clip(self.ahead + ONE_SIDE_FRAMES, 0, 31), 0).sum(axis=1)

@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.first_guess import fit_slide
 from discrepancy.data.launch import MEETS_NOTHING, T_C
 from discrepancy.policy import current_policy
+from synthcam_shared.arrays import Array, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.crowd.track_contacts import find_track_contacts

@@ -6,13 +6,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.policy import current_policy
+from synthcam_shared.arrays import Array, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 
@@ -56,7 +55,7 @@ def find_exchange(tracks: Tracks, camera: Camera) -> int | None:
     return int(frame[1:][wrong][0]) if wrong.any() else None
 
 
-def _pair(tracks: Tracks) -> tuple[NDArray[np.int64], Array, Array]:
+def _pair(tracks: Tracks) -> tuple[Ints, Array, Array]:
     """Frames (k,) in which the two balls seen most often are both seen, and their positions there, px, (k, 2) twice."""
     particles, counts = np.unique(tracks.particle, return_counts=True)
     chosen = particles[np.argsort(-counts, kind="stable")[:2]]

@@ -11,10 +11,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import is_possible_launch, limit_spins
 from discrepancy.fitting.jacobian import coupling_effects, linearise
@@ -23,6 +21,7 @@ from discrepancy.fitting.parameters import replace_within_limits
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
 from synthcam.model import Model, without_mutual_push
+from synthcam_shared.arrays import Array, Flags
 
 STEP_ERRORS = (ValueError, ArithmeticError)  # a step fails: no motion, a singular matrix, an overflow
 MAX_DAMPING = 1e6
@@ -107,7 +106,7 @@ def _reduce_damping(damping: Array | float) -> Array | np.float64:
     return np.where(np.greater(damping, 1e-4), np.divide(damping, 10), 0.0)
 
 
-def _find_failing_clips(fit: ModelFit, moved: ModelFit | None, held: Array) -> NDArray[np.bool_]:
+def _find_failing_clips(fit: ModelFit, moved: ModelFit | None, held: Array) -> Flags:
     """At most a fifth of the clips, which alone made a step fail: only their launches are then damped."""
     none = np.zeros(len(fit.residuals), dtype=bool)
     if moved is None or not fit.is_linearised_here:

@@ -7,7 +7,6 @@ from contextlib import suppress
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import MAX_SPIN_TO_SPEED, V0, WITH_SPIN, find_free_launch_columns
 from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
@@ -15,6 +14,7 @@ from discrepancy.fitting.parameters import difference_step, find_parameter, find
 from discrepancy.fitting.predict import predict_tracks
 from synthcam.dynamics.batch import LAUNCH_COLUMNS
 from synthcam.model import Model, without_mutual_push
+from synthcam_shared.arrays import Array
 
 LAUNCH_STEP = 1e-6  # m, s, m/s, rad, 1
 

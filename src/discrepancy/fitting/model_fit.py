@@ -9,13 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.parameters import parameter_limits
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import ClipWhitener
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

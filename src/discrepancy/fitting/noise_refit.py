@@ -16,15 +16,14 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.model_fit import ModelFit, orthonormal_basis
 from discrepancy.noise import model
 from discrepancy.noise.model import BallPairs, Noise, NoiseComponent
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
+from synthcam_shared.arrays import Array, Index
 
 
 def refit_noise(
@@ -159,7 +158,7 @@ class RestrictedResiduals:
         return float(best.max()), float(model.SHARED_NOISE_CORRELATIONS[int(best.argmax())])
 
 
-def _whiten_displacements(white: ClipWhitener, rows: NDArray[np.intp], axis: int) -> Array:
+def _whiten_displacements(white: ClipWhitener, rows: Index, axis: int) -> Array:
     """White residuals (2n, k) for a unit displacement of each of these k rows along an axis."""
     units = np.zeros((len(white.roots), 2, len(rows)))
     units[rows, axis, np.arange(len(rows))] = 1

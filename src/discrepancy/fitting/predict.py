@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
 from discrepancy.time_left import report_progress
 from synthcam.camera.pinhole import PinholeCamera as Optics
 from synthcam.dynamics.batch import CollisionBatch, solve_collisions
 from synthcam.model import Model
+from synthcam_shared.arrays import Array, Ints
 from tracker.camera.camera import Camera, LampSettings
 
 

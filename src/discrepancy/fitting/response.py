@@ -15,9 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C, WITH_SPIN
 from discrepancy.fitting.predict import map_by_frame_rate
@@ -25,6 +23,7 @@ from discrepancy.time_left import report_progress
 from synthcam.dynamics.batch import CollisionBatch, solve_collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
+from synthcam_shared.arrays import Array, Flags, Index, Ints
 
 LawChange = Callable[["ResponseSegment"], Array]  # (k, m, J) of friction and loss, (k, m, 2, J) of the push
 
@@ -47,7 +46,7 @@ class ResponseSegment:
         states = motion.at(inside).reshape(len(times), TIMES_PER_SEGMENT, 9)
         return cls(times, states[..., :2], states[..., 3:5], contact_velocity(states, radius))
 
-    def __getitem__(self, rows: slice | NDArray[np.bool_] | Ints) -> ResponseSegment:
+    def __getitem__(self, rows: slice | Flags | Ints) -> ResponseSegment:
         return ResponseSegment(self.times[rows], self.place[rows], self.velocity[rows], self.contact[rows])
 
     @property
@@ -221,7 +220,7 @@ def _integrate(times: Array, values: Array) -> Array:
     return out
 
 
-def _interpolate(times: Array, shift: Array, ball: NDArray[np.intp], when: Array) -> Array:
+def _interpolate(times: Array, shift: Array, ball: Index, when: Array) -> Array:
     """Shifts (n, 2, J) of balls (n,) at times `when`, by linear interpolation between times (n, m)."""
     span = times[:, -1] - times[:, 0]
     place = np.clip(

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.parameters import Candidate, find_parameter
 from discrepancy.fitting.predict import collect_measurement_context, predict_velocities
 from discrepancy.fitting.response import ResponseSegment, compute_responses
 from synthcam.effect import Effect
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 Shapes = dict[str, float]
 SizedEffects = Sequence[tuple[Effect, float]]  # each with the size of its only strength that is not zero

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import chdtrc, ndtri_exp
 
-from discrepancy.arrays import Array
 from discrepancy.policy import current_policy
+from synthcam_shared.arrays import Array
 
 
 def chi2_to_sigma(chi2: float, dof: int, trials_factor: float = 1.0) -> float:

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import V0
 from discrepancy.fitting.jacobian import differentiate_tracks
@@ -24,6 +23,7 @@ from discrepancy.noise.model import Noise, finite_cost, minimise_cost
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 SIZES = ("friction", "loss_m_s2", "displacement_m", "reach_m")
 

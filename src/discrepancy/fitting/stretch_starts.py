@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, SLIP, T_C, V0, X, Y
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.fitting.gauss_newton import STEP_ERRORS, fit_model
 from discrepancy.noise.model import Noise, NoiseComponent
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 LOSSES = ("sliding_friction", "rolling_decel", "rolling_drag")  # the first two that a model has are fitted
 

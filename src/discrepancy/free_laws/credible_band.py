@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp, ndtr
 
-from discrepancy.arrays import Array
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.marginal_likelihood import maximise_evidence
 from discrepancy.free_laws.ranges import Axis
+from synthcam_shared.arrays import Array
 
 MIN_WEIGHT = 1e-6  # components of a smaller weight are dropped
 

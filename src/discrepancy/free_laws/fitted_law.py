@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import find_parameter
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.marginal_likelihood import CoefficientPrior
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from discrepancy.arrays import Array
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.policy import current_policy
 from synthcam.tabulated_law import REFERENCE_SPEED_M_S
+from synthcam_shared.arrays import Array
 
 
 class FormulaTerm(NamedTuple):

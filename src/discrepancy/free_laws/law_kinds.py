@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.jacobian import differentiate_tracks
 from discrepancy.fitting.predict import predict_tracks
@@ -27,6 +26,7 @@ from discrepancy.free_laws.ranges import Axis, CoveredRanges, over_clips
 from synthcam.effect import LAWS, VECTOR_INPUTS
 from synthcam.model import Model
 from synthcam.tabulated_law import REFERENCE_SPEED_M_S, AddedLaw, TabulatedLaw
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import PluginError
 
 

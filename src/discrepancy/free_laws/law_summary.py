@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.fitting.gauss_newton import minimise_chi2
 from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.model_fit import ModelFit
@@ -18,6 +17,7 @@ from discrepancy.free_laws.formula import Formula, propose_formula
 from discrepancy.free_laws.law_kinds import FreeLaw
 from synthcam.model import BASE_PARAMETERS, Model, build_model, list_model_settings
 from synthcam.tabulated_law import TabulatedLaw, kind_of
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.parameters import is_known_parameter
 from discrepancy.free_laws import laws
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.ranges import compute_ranges
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import PluginError
 
 

@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from discrepancy.arrays import Array
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.policy import current_policy
+from synthcam_shared.arrays import Array
 
 PRIOR_LENGTHS = (0.05, 0.12, 0.35, 1.0)  # over which curves of a prior change, as shares of the range
 IDLE_VARIANCE = 1e-9  # prior variance of a part that does not act, relative to one that does

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C, B
 from synthcam.dynamics.batch import solve_collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

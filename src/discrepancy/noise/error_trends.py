@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtri
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.noise.model import CUBIC_COEFFICIENTS, Noise, cubic_basis
 from discrepancy.policy import current_policy
+from synthcam_shared.arrays import Array, Ints
 
 Clips = list[MeasuredCollision]
 

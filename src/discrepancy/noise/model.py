@@ -22,9 +22,9 @@ from scipy.linalg.lapack import dtbtrs, dtrtrs
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.policy import current_policy
+from synthcam_shared.arrays import Array, Ints
 from synthcam_shared.errors import InputError
 
 T = TypeVar("T")

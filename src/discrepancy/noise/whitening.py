@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri, dtrtrs
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.noise.model import Noise, NoiseComponent
+from synthcam_shared.arrays import Array, Ints
 
 
 @dataclass(frozen=True)

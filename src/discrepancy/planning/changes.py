@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.launch import HEADING, SIDE, SLIP, V0, B, X, Y
 from discrepancy.fitting.parameters import list_candidates
 from discrepancy.planning.experiment import PlannedExperiment
+from synthcam_shared.arrays import Array
 
 ALL_LAUNCHES_CHANGED = (
     "balls exchanged, oblique hits, many speeds and headings, all over the picture, films twice as long: all at once"

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C, equalise_launches
 from discrepancy.data.study_design import split_held_out
@@ -24,6 +23,7 @@ from synthcam.model import Model
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
 from synthcam_shared.arguments import name_arguments
+from synthcam_shared.arrays import Array, Ints
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.views import find_first_difference

@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import brentq
 
-from discrepancy.arrays import Array
 from discrepancy.fitting.parameters import Candidate, find_parameter, list_candidates
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.planning.experiment import PlannedExperiment
@@ -22,6 +21,7 @@ from discrepancy.policy import current_policy
 from discrepancy.select.score_test import CandidateTrial, RealisticSizes, ScoreTests, detectable_axes
 from synthcam.effect import Parameter
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, T_C, V0
 from discrepancy.fitting.model_fit import ModelFit
@@ -20,6 +19,7 @@ from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.outcome import SearchOutcome
 from discrepancy.validate.gap import Gap
+from synthcam_shared.arrays import Array
 from synthcam_shared.report.page import PageFigure, make_axes
 
 # colours of the base model, of the best model, of noise alone, and of all else

@@ -26,12 +26,11 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.contacts import Contacts
 from discrepancy.policy import current_policy
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.random_effects import fit_random_effects
 
 ODD_SHARE = 0.05  # of the contacts of a crowd that a third body disturbs; 2 of 48 and 1 of 33 in two films of thirty
@@ -256,10 +255,10 @@ class _Fit:
     design: Array
     scatter: float
     cost: float
-    odd: NDArray[np.bool_]  # (n,): whether a value has a wide error
+    odd: Flags  # (n,): whether a value has a wide error
 
     @classmethod
-    def of(cls, value: Array, std: Array, shared: Array, design: Array, may_be_odd: NDArray[np.bool_]) -> _Fit:
+    def of(cls, value: Array, std: Array, shared: Array, design: Array, may_be_odd: Flags) -> _Fit:
         """Fit the scatter, and take values (n,) that may be odd as such, one after the other, while that costs less."""
         odd = np.zeros(len(value), dtype=bool)
         fit = cls._of(value, std, shared, design, odd)
@@ -273,7 +272,7 @@ class _Fit:
         return fit
 
     @classmethod
-    def _of(cls, value: Array, own: Array, shared: Array, design: Array, odd: NDArray[np.bool_]) -> _Fit:
+    def _of(cls, value: Array, own: Array, shared: Array, design: Array, odd: Flags) -> _Fit:
         std, price = np.where(odd, np.hypot(own, ODD_ERROR), own), ODD_PRICE * float(odd.sum())
 
         def cost(log_scatter: float) -> float:

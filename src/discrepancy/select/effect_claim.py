@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.fitting.jacobian import drop_mutual_push
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, find_parameter, parameter_limits
@@ -16,6 +15,7 @@ from discrepancy.fitting.shape_scan import MIN_SCANNED_VALUES, can_scan
 from discrepancy.policy import current_policy
 from discrepancy.select.score_test import CandidateScore, ScoreTests, largest_cosine, prepare_trial
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

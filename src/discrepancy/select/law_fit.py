@@ -9,7 +9,6 @@ from functools import cached_property
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import is_possible_launch
 from discrepancy.fitting.gauss_newton import STEP_ERRORS, fit_model, minimise_chi2, solve_step
@@ -25,6 +24,7 @@ from discrepancy.noise.model import Noise
 from discrepancy.select.model_cost import compute_cost, law_choice_cost
 from discrepancy.select.score_test import CandidateScore
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 CONVERGED_CHI2 = 0.05  # a fit has converged if a further step would gain less
 

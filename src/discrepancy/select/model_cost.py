@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import find_parameter, find_tried_range
 from discrepancy.free_laws.library import count_laws
 from discrepancy.free_laws.marginal_likelihood import cost_of_choice, cost_of_strengths
 from synthcam.library import library
+from synthcam_shared.arrays import Array
 
 
 def law_choice_cost() -> float:
@@ -45,7 +45,7 @@ def compute_cost(fit: ModelFit, base: ModelFit) -> float:
     return float(paid)
 
 
-def _information(fit: ModelFit, names: Sequence[str]) -> NDArray[np.float64]:
+def _information(fit: ModelFit, names: Sequence[str]) -> Array:
     """The information (k, k) on these parameters with all others fitted: the inverse of their covariance."""
     if not names:
         return np.zeros((0, 0))

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag
 
-from discrepancy.arrays import Array
 from discrepancy.fitting.jacobian import differentiate_tracks, drop_mutual_push
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips, orthonormal_basis
 from discrepancy.fitting.parameters import Candidate, find_parameter, list_candidates, refine_tried_values
@@ -17,6 +16,7 @@ from discrepancy.fitting.shape_scan import can_scan, scan_shapes
 from discrepancy.fitting.significance import chance_threshold, chi2_to_sigma, count_trials
 from discrepancy.policy import current_policy
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

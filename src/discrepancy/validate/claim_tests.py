@@ -11,7 +11,6 @@ from enum import Enum, auto
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtri
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.gauss_newton import fit_model
@@ -31,6 +30,7 @@ from discrepancy.select.model_cost import compute_cost
 from discrepancy.time_left import in_stage
 from discrepancy.validate.gap import weigh_clips
 from discrepancy.validate.residual_map import find_disagreements, is_unexplained
+from synthcam_shared.arrays import Array
 
 Residuals = Sequence[Array]  # whitened, of each clip
 

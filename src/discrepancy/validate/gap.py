@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import ModelFit, orthonormal_basis
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.policy import current_policy
+from synthcam_shared.arrays import Array
 
 
 def find_outlier_clips(

@@ -8,10 +8,8 @@ from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri
 
-from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.model_fit import ModelFit
@@ -20,6 +18,7 @@ from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import SearchPolicy, current_policy
+from synthcam_shared.arrays import Array, Flags, Ints
 
 Term = tuple[str, int, int]  # name, ball, axis
 Where = tuple[str, int, int]  # phase, ball, axis
@@ -337,7 +336,7 @@ class ClipSolution:
     `information` (S, S) and `pull` (S,) belong to the shared parameters, in the residuals that the terms leave.
     """
 
-    kept: NDArray[np.bool_]
+    kept: Flags
     length: Array
     amplitude: Array
     root: Array  # (T, k)

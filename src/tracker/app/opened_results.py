@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Ints
 from synthcam_shared.errors import InputError
 from synthcam_shared.report.numbers import NOT_KNOWN
 from tracker import results
@@ -102,9 +103,7 @@ class OpenedResults:
             "more": max(len(table) - MAX_COLLISIONS, 0),
         }
 
-    def list_tracks(
-        self, number: int, edits: TrackEdits, film: NDArray[np.int64] | None = None
-    ) -> list[dict[str, Any]]:
+    def list_tracks(self, number: int, edits: TrackEdits, film: Ints | None = None) -> list[dict[str, Any]]:
         """The tracks of a clip after further edits, px, with residuals of the tied fit; film: its frames."""
         tracks, camera = results.read_clip(self.folder, number)
         if len(tracks) > MAX_POSITIONS:
@@ -295,7 +294,7 @@ class SearchedResiduals:
             raise InputError(f"{file}: expected the residuals of a search ({type(error).__name__})") from None
 
 
-def _find_rows(tracks: Tracks, metres: NDArray[Any], table: pd.DataFrame) -> NDArray[np.int64]:
+def _find_rows(tracks: Tracks, metres: NDArray[Any], table: pd.DataFrame) -> Ints:
     """For each row of the table the nearest position of its frame in the tracks; -1 where the frame has none."""
     order = np.argsort(tracks.frame, kind="stable")
     frames, out = tracks.frame[order], np.full(len(table), -1)

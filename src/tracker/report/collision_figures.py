@@ -11,8 +11,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from synthcam_shared.report.page import make_axes
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.collision_model import mean_positions, tied_to_free
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from tracker.camera.camera import Camera
     from tracker.detection.link import Tracks
 
-Floats = NDArray[np.float64]
 
 MAX_PARTICLES_IN_LEGEND = 12
 STYLE = {1: ("#c1440e", "o", "ball 1 (struck)"), 2: ("#14508c", "s", "ball 2 (striker)")}
@@ -44,7 +43,7 @@ class CollisionView:
         return cls(row, {k: track[int(row[f"particle{k}"])] for k in (1, 2)}, camera)
 
     @property
-    def parameters(self) -> Floats:
+    def parameters(self) -> Array:
         """Parameters of the tied fit, (16,)."""
         r = self.row
         launch = [r["t_c"], r["x1"], r["y1"], r["heading"], np.arcsin(r["b"]), r["v0"], r["drag"], r["decel"]]
@@ -55,7 +54,7 @@ class CollisionView:
         """True if `predict` holds: a contact that lasts shifts the paths after it by what its row does not have."""
         return bool(self.row.get("contact_first", -1) < 0)
 
-    def predict(self, ball: int, start: Floats) -> Floats:
+    def predict(self, ball: int, start: Array) -> Array:
         """Predict positions (n, 2) m by the tied fit, averaged over exposures that begin at start (n,) s."""
         free = np.asarray(tied_to_free(self.parameters), dtype=np.float64)
         return mean_positions(free, ball, start, self.camera.exposure, self.camera.ball_diameter)[0]
@@ -80,7 +79,7 @@ def list_residuals(views: Iterable[CollisionView | None]) -> dict[tuple[int, int
     return residuals
 
 
-def draw_frame(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera) -> Figure:
+def draw_frame(image: Array, spots: pd.DataFrame, frame: int, camera: Camera) -> Figure:
     """Draw the figure of a collision's frame with its detections, and the balls enlarged.
 
     image: counts (h, w); spots: the rows of tracks.parquet at that frame.

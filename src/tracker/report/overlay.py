@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
+
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
     from tracker.camera.frames import Frames
@@ -99,7 +101,7 @@ class Overlay:
         text = str(int(tracks.particle[row]))
         cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, lines)
 
-    def _to_fixed_point(self, xy: NDArray[np.float64], times: float) -> NDArray[np.int32]:
+    def _to_fixed_point(self, xy: Array, times: float) -> NDArray[np.int32]:
         """Convert pixels of the recording to OpenCV's fixed-point coordinates of the overlay."""
         return np.asarray(np.round(((xy + 0.5) * times - 0.5) * 2**self.fraction_bits), dtype=np.int32)
 

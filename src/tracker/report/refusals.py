@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.camera.frames import spread_frames
 from tracker.detection.background.windows import PixelRegion, find_regions
 from tracker.detection.candidates import estimate_pixel_noise, median_of_nine
@@ -114,9 +115,7 @@ def paint_frame(frames: Frames, k: int) -> NDArray[np.uint8]:
     return np.ascontiguousarray(np.repeat(grey[..., None], 3, axis=2) if grey.ndim == 2 else grey[..., :3])
 
 
-def _draw(
-    clip: Recording, k: int, balls: NDArray[np.float64], refused: Sequence[tuple[PixelRegion, str]]
-) -> NDArray[np.uint8]:
+def _draw(clip: Recording, k: int, balls: Array, refused: Sequence[tuple[PixelRegion, str]]) -> NDArray[np.uint8]:
     """The frame with circles about what was found and boxes with reasons about what was refused, (h, w, 3)."""
     picture: Any = paint_frame(clip.frames, k)
     times = float(np.clip(900 / max(picture.shape[:2]), 0.25, 4))

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.detection.likelihood.cramer_rao import localisation_bound_fixed
 from tracker.measurement.collision.collision_model import TARGET, tied_to_free
 from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_free, derive_from_tied
@@ -18,8 +18,6 @@ from tracker.scoring.localisation import MatchedDetections
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
-
-Floats = NDArray[np.float64]
 
 
 def score_quantities(table: pd.DataFrame) -> dict[str, dict[str, float]]:
@@ -41,7 +39,7 @@ def score_quantities(table: pd.DataFrame) -> dict[str, dict[str, float]]:
     return out
 
 
-def compute_error_statistics(value: Floats, std: Floats, true: Floats, bound: Floats) -> dict[str, float]:
+def compute_error_statistics(value: Array, std: Array, true: Array, bound: Array) -> dict[str, float]:
     """Compute the statistics of a quantity's errors over clips (n,); NaN marks values not claimed or not known."""
     use = np.isfinite(value) & np.isfinite(true)
     names = ("bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95")
@@ -59,7 +57,7 @@ def compute_error_statistics(value: Floats, std: Floats, true: Floats, bound: Fl
     return out
 
 
-def compute_true_parameters(truth: pd.DataFrame, scalars: Mapping[str, Any] | pd.Series) -> Floats | None:
+def compute_true_parameters(truth: pd.DataFrame, scalars: Mapping[str, Any] | pd.Series) -> Array | None:
     """Compute the true parameters (16,) of a tied fit, for its bound; None unless both balls are tracked before.
 
     Positions and velocities are those of the last frame before it, extrapolated by less than a frame.
@@ -79,7 +77,7 @@ def compute_true_parameters(truth: pd.DataFrame, scalars: Mapping[str, Any] | pd
     return tied if np.isfinite(tied).all() else None
 
 
-def quantity_bounds(matched: MatchedDetections, cov: Floats, tied: Floats | None, camera: Camera) -> dict[str, float]:
+def quantity_bounds(matched: MatchedDetections, cov: Array, tied: Array | None, camera: Camera) -> dict[str, float]:
     """Compute the Cramér-Rao bounds Q_bound and Q_free_bound of both fits at the true motion, for the positions found.
 
     cov (n, 2, 2) px^2: the bound of each position, not the error that the tracker claims. The error that a resting ball
@@ -101,7 +99,7 @@ def quantity_bounds(matched: MatchedDetections, cov: Floats, tied: Floats | None
     return out
 
 
-def _tracks_at_bound(matched: MatchedDetections, cov: Floats, camera: Camera) -> list[BallTrack]:
+def _tracks_at_bound(matched: MatchedDetections, cov: Array, camera: Camera) -> list[BallTrack]:
     """Both balls' true tracks with the errors of the localisation bound; px to m at each position."""
     rows = matched.truth.iloc[matched.pairs[:, 0]]
     _, slope = camera.unproject(rows[["x_mean_px", "y_mean_px"]].to_numpy(float))

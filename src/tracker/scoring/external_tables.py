@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from synthcam_shared.report.page import PageSection, PageTable, write_page
 from tracker.notes import Note, NoteKind, make_notes
@@ -135,7 +135,7 @@ def _read_points(table: TrackTable, path: Path) -> dict[int, TrackPoints]:
     """Track points by clip, without rows that have no finite position."""
     rows, where = table.rows, str(path)
     columns = [to_numbers(rows[name], name, where) for name in ("x", "y")]
-    xy: NDArray[np.float64] = np.stack(columns, axis=1)
+    xy: Array = np.stack(columns, axis=1)
     frame, track = (to_whole_numbers(rows[name], name, where) for name in ("frame", "particle"))
     numbers = to_whole_numbers(rows["clip"], "clip", where) if "clip" in rows else np.zeros(len(rows), np.int64)
     size = np.stack([to_numbers(rows[name], name, where) for name in SIZE], axis=1) if set(SIZE) <= set(rows) else None

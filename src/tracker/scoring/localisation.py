@@ -11,16 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.detection.likelihood.cramer_rao import localisation_bound
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -34,24 +31,24 @@ class MatchedDetections:
     truth: pd.DataFrame
     found: pd.DataFrame
     pairs: Ints
-    counted: NDArray[np.bool_]
+    counted: Flags
     missed: int
     false: int
 
     @property
-    def off(self) -> Floats:
+    def off(self) -> Array:
         """Found minus true position, (n, 2) px."""
         return _xy(self.found)[self.pairs[:, 1]] - _true(self.truth)[self.pairs[:, 0]]
 
     @property
-    def moving(self) -> NDArray[np.bool_]:
+    def moving(self) -> Flags:
         """Tell whether the ball of a pair moves along each axis, (n, 2)."""
         min_motion_px = 0.05  # per frame; a ball at rest always has the same sub-pixel phase
         pace = self.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
         return np.asarray(pace.reindex(self.truth.index).to_numpy(float)[self.pairs[:, 0]] > min_motion_px)
 
 
-def find_required_rows(truth: pd.DataFrame, *, max_hidden: float = 0.5) -> NDArray[np.bool_]:
+def find_required_rows(truth: pd.DataFrame, *, max_hidden: float = 0.5) -> Flags:
     """Find the rows (n,) of true tracks whose balls have to be found: in view, and not hidden by more than a share."""
     whole = truth["visible"].to_numpy(bool)
     if "hidden" not in truth:
@@ -83,7 +80,7 @@ def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float)
     return MatchedDetections(truth, found, table, counted, int(whole.sum()) - len(table), false)
 
 
-def position_bounds(matched: MatchedDetections, camera: Camera) -> Floats:
+def position_bounds(matched: MatchedDetections, camera: Camera) -> Array:
     """Compute the Cramér-Rao covariance (n, 2, 2) px^2 of each paired position.
 
     The flux is that of the detection, the motion blur follows from the true velocity. NaN without flux or optics.
@@ -120,9 +117,9 @@ class PositionSums:
     squares: float
     glint_squares: float
     bound: float
-    waves: Floats
-    errors: Floats
-    moving_squares: Floats
+    waves: Array
+    errors: Array
+    moving_squares: Array
 
     @classmethod
     def none(cls) -> PositionSums:
@@ -130,7 +127,7 @@ class PositionSums:
         return cls(0, 0, 0, 0.0, 0.0, 0.0, np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2))
 
     @classmethod
-    def of(cls, matched: MatchedDetections, cov: Floats) -> PositionSums:
+    def of(cls, matched: MatchedDetections, cov: Array) -> PositionSums:
         """Make the sums of one clip; cov (n, 2, 2) px^2: the bounds of its pairs."""
         off, true, moving = matched.off, _true(matched.truth)[matched.pairs[:, 0]], matched.moving
         waves, errors, squares = np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2)
@@ -185,14 +182,14 @@ class PositionSums:
         return float(worst)
 
 
-def score_positions(clips: Iterable[tuple[MatchedDetections, Floats]]) -> dict[str, float]:
+def score_positions(clips: Iterable[tuple[MatchedDetections, Array]]) -> dict[str, float]:
     """Score the errors of detected positions, given as (matched, bounds), as `PositionSums.statistics` does."""
     return sum((PositionSums.of(*clip) for clip in clips), PositionSums.none()).statistics()
 
 
-def _true(truth: pd.DataFrame) -> Floats:
+def _true(truth: pd.DataFrame) -> Array:
     return truth[["x_mean_px", "y_mean_px"]].to_numpy(np.float64)
 
 
-def _xy(found: pd.DataFrame) -> Floats:
+def _xy(found: pd.DataFrame) -> Array:
     return found[["x", "y"]].to_numpy(np.float64)

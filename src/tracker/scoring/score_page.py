@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import tifffile
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from synthcam_shared.report.numbers import format_number, format_percent
 from synthcam_shared.report.page import Block, PageFigure, PageSection, PageTable, make_axes, write_page
@@ -24,7 +24,6 @@ from tracker.results import read_clip
 from tracker.scoring.external_tables import MEASURES
 from tracker.scoring.score import DetectorScore, format_ratio
 
-Floats = NDArray[np.float64]
 POSITION_HEADS = ("balls found", "missed", "false", "rmse / px", "bound / px", "rmse / bound", "phase bias / px")
 COLOURS = {"": "#14508c", "_free": "#c1440e", "_local": "#6a3d9a", "_paper": "#5b7f1c"}  # by the suffix of a column
 FIGURES = {
@@ -204,7 +203,7 @@ def _detections_after_contact(results: Path, clip: int, view: CollisionView) -> 
     return table[table["frame"] == frame]
 
 
-def _read_picture(dataset: Path, clip: int, frame: int) -> Floats | None:
+def _read_picture(dataset: Path, clip: int, frame: int) -> Array | None:
     path = dataset / "clips" / f"{clip:06d}" / "frames.tif"
     if not path.is_file():
         return None
@@ -267,7 +266,7 @@ def draw_error_bars(table: pd.DataFrame) -> Figure:
     return figure
 
 
-def _claims(table: pd.DataFrame, name: str, kind: str) -> tuple[Floats, Floats, Floats] | None:
+def _claims(table: pd.DataFrame, name: str, kind: str) -> tuple[Array, Array, Array] | None:
     """v0, error and standard error of clips that measure a quantity; None where none does, or it is fixed."""
     columns = (f"{name}{kind}", f"{name}{kind}_std", f"{name}_true", "v0_true")
     if not set(columns) <= set(table.columns):

@@ -15,11 +15,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from synthcam_shared.arrays import Array, Ints
 
 GATE_PX = 5.0
 Counts = dict[str, float]
@@ -32,9 +30,9 @@ class FrameDistances(NamedTuple):
 
     i: Ints
     j: Ints
-    apart: Floats
-    alike: Floats
-    alike_hota: Floats
+    apart: Array
+    alike: Array
+    alike_hota: Array
 
 
 @dataclass(frozen=True)
@@ -43,11 +41,11 @@ class TrackPoints:
 
     frame: Ints
     track: Ints
-    xy: Floats
-    size: Floats | None = None
+    xy: Array
+    size: Array | None = None
 
     @classmethod
-    def of(cls, frame: Ints, track: Ints, xy: Floats, size: Floats | None = None) -> TrackPoints:
+    def of(cls, frame: Ints, track: Ints, xy: Array, size: Array | None = None) -> TrackPoints:
         """Renumbers the tracks."""
         return cls(frame, np.unique(track, return_inverse=True)[1].astype(np.int64), xy, size)
 
@@ -62,7 +60,7 @@ class TrackingCounts:
     """Counts of clips by name, which add; levels (4, 19): by level of HOTA, as `_count_hota` returns them."""
 
     counts: Counter[str]
-    levels: Floats
+    levels: Array
 
     @classmethod
     def none(cls) -> TrackingCounts:
@@ -128,13 +126,13 @@ def _frame_distances(truth: TrackPoints, found: TrackPoints, gate: float) -> dic
     return out
 
 
-def _overlap(one: Floats, size: Floats, other: Floats, other_size: Floats) -> Floats:
+def _overlap(one: Array, size: Array, other: Array, other_size: Array) -> Array:
     """Intersection over union of boxes, (n, m), by their middles and sizes."""
     low = np.maximum((one - size / 2)[:, None], (other - other_size / 2)[None])
     high = np.minimum((one + size / 2)[:, None], (other + other_size / 2)[None])
     both = np.prod(np.maximum(high - low, 0.0), axis=-1)
     union = np.prod(size, axis=1)[:, None] + np.prod(other_size, axis=1)[None] - both
-    alike: Floats = np.divide(both, union, out=np.zeros_like(both), where=union > 0)
+    alike: Array = np.divide(both, union, out=np.zeros_like(both), where=union > 0)
     return alike
 
 
@@ -202,7 +200,7 @@ def _count_identity(truth: TrackPoints, found: TrackPoints, near: dict[int, Fram
     return {"idtp": float(both[rows, columns].sum())}
 
 
-def _count_hota(truth: TrackPoints, found: TrackPoints, near: dict[int, FrameDistances]) -> Floats:
+def _count_hota(truth: TrackPoints, found: TrackPoints, near: dict[int, FrameDistances]) -> Array:
     """(4, levels): hits, misses, extras, and the sum over hits of their association's Jaccard index."""
     n, m = truth.tracks, found.tracks
     overlap = np.zeros((n, m))

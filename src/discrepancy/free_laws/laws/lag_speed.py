@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.predict import predict_velocities
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.ranges import over_range
 from synthcam.model import Model
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

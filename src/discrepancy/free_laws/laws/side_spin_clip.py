@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import SIDE, pad_spins
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.ranges import Axis, CoveredRanges, over_clips
 from synthcam.model import LAUNCH_SPIN, Model
+from synthcam_shared.arrays import Array
 
 
 @dataclass(frozen=True)

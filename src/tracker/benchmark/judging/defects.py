@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.benchmark.judging.position_errors import PositionMatches, fit_pixel_locking
 from tracker.benchmark.suite.definition import Suite, SuitePart, covariances
 from tracker.camera.camera import Camera
@@ -26,7 +26,6 @@ from tracker.recording import measure_clip
 from tracker.settings import FitSettings
 from tracker.tables.rows import to_tracks
 
-Floats = NDArray[np.float64]
 TrueTracks = tuple[pd.DataFrame, Camera, Mapping[str, Any]]  # tracks, camera, and what is measured in these tracks
 DEFECTS = ("locking", "glint", "lost")
 
@@ -92,21 +91,21 @@ def measure_collision(table: pd.DataFrame, camera: Camera) -> Mapping[str, Any]:
     return next((row for row in rows if row["status"] in MEASURED), {})
 
 
-def _lever(table: pd.DataFrame) -> Floats:
+def _lever(table: pd.DataFrame) -> Array:
     """Vector from centre to glint, px."""
     glint, centre = table[["glint_x_px", "glint_y_px"]], table[["x_px", "y_px"]]
-    by: Floats = glint.to_numpy(np.float64) - centre.to_numpy(np.float64)
+    by: Array = glint.to_numpy(np.float64) - centre.to_numpy(np.float64)
     return by
 
 
-def _shift(table: pd.DataFrame, by: Floats) -> pd.DataFrame:
+def _shift(table: pd.DataFrame, by: Array) -> pd.DataFrame:
     return table.assign(x=table["x"] + by[:, 0], y=table["y"] + by[:, 1])
 
 
-def _lock_to_pixels(table: pd.DataFrame, waves: Floats) -> pd.DataFrame:
+def _lock_to_pixels(table: pd.DataFrame, waves: Array) -> pd.DataFrame:
     phase = table[["glint_x_px", "glint_y_px"]].to_numpy(np.float64) * 2 * np.pi
     parts = [np.cos(phase), np.sin(phase), np.cos(2 * phase), np.sin(2 * phase)]
-    by: Floats = np.sum([part * waves[:, k] for k, part in enumerate(parts)], axis=0)
+    by: Array = np.sum([part * waves[:, k] for k, part in enumerate(parts)], axis=0)
     return _shift(table, by)
 
 

@@ -8,15 +8,13 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.definition import Suite, SuitePart, covariances
 from tracker.scoring.localisation import MatchedDetections, match, score_positions
 from tracker.scoring.score import to_track_points
 from tracker.scoring.tracking_metrics import GATE_PX, score_tracks
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ def compute_efficiency(figures: Mapping[str, float]) -> float:
     return float(figures["jaccard"] / max(figures["ratio"], 1.0)) if np.isfinite(figures["ratio"]) else np.nan
 
 
-def _pairs(near: MatchedDetections, cov: Floats, ball_px: float, point: str) -> pd.DataFrame:
+def _pairs(near: MatchedDetections, cov: Array, ball_px: float, point: str) -> pd.DataFrame:
     true, found = near.truth.iloc[near.pairs[:, 0]], near.found.iloc[near.pairs[:, 1]]
     out = true[["frame", "particle"]].reset_index(drop=True)
     centre = true[["x_mean_px", "y_mean_px"]].to_numpy(np.float64)
@@ -96,7 +94,7 @@ def _pairs(near: MatchedDetections, cov: Floats, ball_px: float, point: str) -> 
     return out.assign(gap=gap / ball_px - 1.0, along=along, bound=bound)
 
 
-def _about_the_other(truth: pd.DataFrame, true: pd.DataFrame, off: Floats) -> tuple[Floats, Floats]:
+def _about_the_other(truth: pd.DataFrame, true: pd.DataFrame, off: Array) -> tuple[Array, Array]:
     """Distance to the other ball and error towards it, px; NaN where there is no other ball."""
     place = truth.set_index(["frame", "particle"])[["x_mean_px", "y_mean_px"]]
     wanted = pd.MultiIndex.from_arrays([true["frame"], 1 - true["particle"]])
@@ -105,7 +103,7 @@ def _about_the_other(truth: pd.DataFrame, true: pd.DataFrame, off: Floats) -> tu
     return length, np.asarray((off * way).sum(axis=1) / length, dtype=np.float64)
 
 
-def fit_pixel_locking(pairs: pd.DataFrame, min_errors: int = 20) -> tuple[Floats, float]:
+def fit_pixel_locking(pairs: pd.DataFrame, min_errors: int = 20) -> tuple[Array, float]:
     """Fit the error of moving balls as a function of the phase of the glint within its pixel.
 
     Returns by axis (2, 4), px, cosine and sine with one and with two periods per pixel. The second result is the

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import yaml
-from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.results import load_json
@@ -237,7 +237,7 @@ def truth_digest(truth: Path, definition: SuiteDefinition) -> str:
     return mark.hexdigest()
 
 
-def covariances(truth: pd.DataFrame) -> NDArray[np.float64]:
+def covariances(truth: pd.DataFrame) -> Array:
     """Turn the bounds in the folder of a suite into covariances (n, 2, 2), px^2."""
     xx, xy, yy = (truth[name].to_numpy(np.float64) for name in ("xx", "xy", "yy"))
     return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
