@@ -23,7 +23,7 @@ from discrepancy.noise import model
 from discrepancy.noise.model import BallPairs, Noise, NoiseComponent
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
-from synthcam_shared.arrays import Array, Index
+from synthcam_shared.arrays import Array
 
 
 def refit_noise(
@@ -141,7 +141,10 @@ class RestrictedResiduals:
             rows = [np.flatnonzero(clip.ball == ball) for ball in (0, 1)]
             apart = np.abs(np.subtract.outer(clip.frame[rows[0]], clip.frame[rows[1]]))
             for axis in (0, 1):
-                pushes = [_whiten_displacements(white, r, axis) for r in rows]
+                units = [np.zeros((len(white.roots), 2, len(r))) for r in rows]
+                for unit, r in zip(units, rows, strict=True):
+                    unit[r, axis, np.arange(len(r))] = 1
+                pushes = [white(unit) for unit in units]  # by a unit displacement of each of these rows
                 pulls = [p.T @ left for p in pushes]
                 taken = [p.T @ q for p in pushes]
                 own = [p.T @ p - t @ t.T for p, t in zip(pushes, taken, strict=True)]
@@ -156,10 +159,3 @@ class RestrictedResiduals:
         both = off.sum(axis=1) / np.sqrt(variances.sum(axis=1))
         best = np.maximum((off / np.sqrt(variances)).max(axis=1), both)
         return float(best.max()), float(model.SHARED_NOISE_CORRELATIONS[int(best.argmax())])
-
-
-def _whiten_displacements(white: ClipWhitener, rows: Index, axis: int) -> Array:
-    """White residuals (2n, k) for a unit displacement of each of these k rows along an axis."""
-    units = np.zeros((len(white.roots), 2, len(rows)))
-    units[rows, axis, np.arange(len(rows))] = 1
-    return white(units)

@@ -355,11 +355,13 @@ def select_order(
     head = np.zeros(0) if common is None else common
     best, winner, last, tail, lost = np.inf, build(shapes[0], head), shapes[0], np.zeros(0), 0
     for shape in shapes:
+        known = tail[: min(last[0], shape[0])]
+        start = np.array([*np.ones(shape[0]), 0.0]) if shape[1] else np.append(known, np.zeros(shape[0] - len(known)))
 
         def cost_of(x: Array, shape: NoiseOrder = shape) -> float:
             return cost(build(shape, x))
 
-        x = minimise_cost(cost_of, np.concatenate([head, _initial_numbers(shape, last, tail)]))
+        x = minimise_cost(cost_of, np.concatenate([head, start]))
         paid = finite_cost(cost_of, x) + penalty * len(x)
         lost = 0 if paid < best else lost + 1
         if paid < best:
@@ -379,14 +381,6 @@ def finite_cost(cost: Callable[[Array], float], x: Array) -> float:
     except np.linalg.LinAlgError:
         return impossible
     return value if np.isfinite(value) else impossible
-
-
-def _initial_numbers(shape: NoiseOrder, last: NoiseOrder, x: Array) -> Array:
-    order, white = shape
-    if white:
-        return np.array([*np.ones(order), 0.0])
-    known = x[: min(last[0], order)]
-    return np.append(known, np.zeros(order - len(known)))
 
 
 def minimise_cost(cost: Callable[[Array], float], start: Array) -> Array:

@@ -109,17 +109,15 @@ class Signatures:
 
     def limits(self) -> tuple[StrengthLimits, ...]:
         """Compute the limits of every strength of every candidate, in the candidates' order."""
-        known = {c: self._least(c) for c in self._sizes}
+        known = {  # the smallest limit over strengths and shapes, in realistic sizes
+            c: min(self._limit(k, i) / float(size) for k in self._numbers(c) for i, size in enumerate(own.sizes))
+            for c, own in self._sizes.items()
+        }
         rivals = [k for k, t in enumerate(self.trials) if self._shows(t.candidate, known[t.candidate])]
         return tuple(self._row(c, k, rivals) for c in self._sizes for k in range(len(c.strengths)))
 
     def _numbers(self, candidate: Candidate) -> list[int]:
         return [k for k, t in enumerate(self.trials) if t.candidate == candidate]
-
-    def _least(self, candidate: Candidate) -> float:
-        """The smallest limit of a candidate over its strengths and shapes, in realistic sizes."""
-        sizes = self._sizes[candidate].sizes
-        return min(self._limit(k, i) / float(size) for k in self._numbers(candidate) for i, size in enumerate(sizes))
 
     def _shows(self, candidate: Candidate, least: float) -> bool:
         return bool(least <= min(current_policy().max_detection_limit, self._sizes[candidate].allowed))

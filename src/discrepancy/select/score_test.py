@@ -240,8 +240,9 @@ class ScoreTests:
                 for value in refine_tried_values(find_parameter(model, name), scored.shapes[name], closer):
                     trial = prepare_trial(evidence, plain, launches, candidate, scored.shapes | {name: value}, here)
                     columns = self._stacked(trial.columns)
+                    length = np.sqrt(sum((c**2).sum(axis=0) for c in trial.columns))
                     signature = columns - absorbed @ (absorbed.T @ columns)
-                    score = self._score(trial, signature.T @ signature, signature.T @ left, _lengths(trial.columns))
+                    score = self._score(trial, signature.T @ signature, signature.T @ left, length)
                     if score.gain > scored.gain:
                         scored = score.scored(signature)
         return scored
@@ -363,11 +364,6 @@ def _scanned(
     return [
         CandidateTrial(candidate, grid[k], columns) for k, columns in zip(kept, zip(*parts, strict=True), strict=True)
     ]
-
-
-def _lengths(columns: Sequence[Array]) -> Array:
-    """The lengths (k,) of columns (2n, k) of each clip, stacked."""
-    return np.asarray(np.sqrt(sum((c**2).sum(axis=0) for c in columns)))
 
 
 def detectable_axes(gram: Array, length: Array, min_share: float = 1e-4) -> Array:

@@ -90,7 +90,8 @@ def find_disagreements(clips: Sequence[MeasuredCollision], fit: ModelFit, noise:
     found = [*find_disagreements_by_phase(clips, fit, noise), *find_ripples(clips, fit, noise)]
     every = []
     for (phase, ball, axis), (against, chi2, dof, size) in found:
-        sigma = _corrected_sigma(chi2, dof, len(found))
+        p = len(found) * float(chdtrc(dof, chi2))
+        sigma = 0.0 if p >= 1 else float(-ndtri(p / 2)) if p > 1e-250 else chi2_to_sigma(chi2, dof)
         every.append(Disagreement(phase, f"ball {ball + 1}", ("along", "across")[axis], sigma, against, size))
     return tuple(sorted(every, key=lambda x: -x.sigma))
 
@@ -115,20 +116,14 @@ def _test_clips(
 ) -> Iterator[tuple[Where, PhaseResult]]:
     """Make every test in all clips together; none where the shared parameters can make all that it sees."""
     found: dict[Where, list[ClipAmplitudes]] = {}
-    expected, shared = predict_tracks(fit.model, fit.launches, clips), _unit_slopes(fit)
-    for k, clip in enumerate(clips):
-        for where, part in amplitudes(clip, expected[k], fit, k, shared[k], noise):
+    size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
+    unit = 1 / np.where(size > 0, size, 1)  # so that the derivatives by shared parameters have unit length
+    for k, (clip, path) in enumerate(zip(clips, predict_tracks(fit.model, fit.launches, clips), strict=True)):
+        for where, part in amplitudes(clip, path, fit, k, fit.slopes[k] * unit, noise):
             found.setdefault(where, []).append(part)
     for where, parts in found.items():
         for result in combine_clips(parts):
             yield where, result
-
-
-def _unit_slopes(fit: ModelFit) -> list[Array]:
-    """Derivatives (2n, S) of each clip by the shared parameters, of unit length over all clips."""
-    size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
-    unit = 1 / np.where(size > 0, size, 1)
-    return [s * unit for s in fit.slopes]
 
 
 def _phase_amplitudes(
@@ -162,16 +157,11 @@ def _phase_amplitudes(
                 if not mine:
                     continue
                 columns = np.einsum("na,nai->ni", motion[rows, a], raw[rows][..., mine])
-                columns = _remove_powers(columns, time[rows], powers - (phase == "before" and b == 0))
+                q, _ = np.linalg.qr(np.vander(time[rows], powers - (phase == "before" and b == 0)))
+                columns = columns - q @ (q.T @ columns)  # without these powers of time
                 features = _features(fit.launches[k], path[rows].mean(axis=0), motion[rows, a].mean(axis=0))
                 products, off = columns.T @ columns, (clip.xy - path)[rows]
                 yield (phase, b, a), solved.amplitudes(mine, wanted, products, off, features)
-
-
-def _remove_powers(columns: Array, time: Array, powers: int) -> Array:
-    """Subtract from columns (n, k) a polynomial with this number of powers of time."""
-    q, _ = np.linalg.qr(np.vander(time, powers))
-    return np.asarray(columns - q @ (q.T @ columns))
 
 
 def _column(term: Term, stage: Ints, ball: Ints, time: Array, motion: Array) -> Array:
@@ -194,13 +184,6 @@ def _features(launch: Array, position: Array, direction: Array, scale_m: float =
         "heading": np.array([np.cos(heading), np.sin(heading), np.cos(2 * heading), np.sin(2 * heading)]),
         "position": np.outer(direction, field).ravel(),
     }
-
-
-def _corrected_sigma(chi2: float, dof: int, tests: int) -> float:
-    p = tests * float(chdtrc(dof, chi2))
-    if p >= 1:
-        return 0.0
-    return float(-ndtri(p / 2)) if p > 1e-250 else chi2_to_sigma(chi2, dof)
 
 
 # --- Ripples at the period of a ball's rotation ---
@@ -247,7 +230,8 @@ def _ripple_terms(
     for ball in range(2):
         for s in (MotionStage.BEFORE, MotionStage.ROLLING):
             rows = np.flatnonzero((stage == s) & (clip.ball == ball))
-            angle = times * _turned_angle(clip, rows, path)
+            steps = np.hypot(*np.diff(path[rows], axis=0).T)
+            angle = times * (np.concatenate([[0.0], np.cumsum(steps)]) / (clip.camera.ball_diameter / 2))
             if len(rows) == 0 or angle[-1] < min_periods * 2 * np.pi:
                 continue
             columns = np.column_stack(
@@ -261,12 +245,6 @@ def _ripple_terms(
     terms = [None] * len(smooth) + [which for which, each in waves.items() for _ in each]
     every = [*smooth, *(column for each in waves.values() for column in each)]
     return terms, np.stack(every, axis=-1) if every else np.zeros((len(stage), 2, 0))
-
-
-def _turned_angle(clip: MeasuredCollision, rows: Ints, path: Array) -> Array:
-    """The angle by which a ball has turned since the first of these rows, rad."""
-    steps = np.hypot(*np.diff(path[rows], axis=0).T)
-    return np.concatenate([[0.0], np.cumsum(steps)]) / (clip.camera.ball_diameter / 2)
 
 
 # --- Stages of motion ---

@@ -402,12 +402,13 @@ class Workbench:
     def describe_status(self) -> dict[str, Any]:
         """State of the detector and of the run."""
         run = self.process.status
+        made = run.number in self.pages and (self.pages[run.number] / "index.html").is_file()
         return {
             "version": self.version,
             "detector": vars(self.detector_status),
             "run": {key: value for key, value in vars(run).items() if key not in ("summary", "began")},
             "seconds": round(self.process.seconds, 1) if self.process.is_running else None,
-            "page": self._find_made_page(run.number),
+            "page": f"/report/{self.report_key}/{run.number}/index.html" if made else "",
         }
 
     # --- comparisons
@@ -459,10 +460,6 @@ class Workbench:
         if search is None or not search.is_there:
             raise InputError(f"search {number}: not one of this page")
         return {"number": number, **search.describe(self.view.number)}
-
-    def _find_made_page(self, number: int) -> str:
-        made = number in self.pages and (self.pages[number] / "index.html").is_file()
-        return f"/report/{self.report_key}/{number}/index.html" if made else ""
 
     def find_page_folder(self, number: int) -> Path:
         """The folder of results, or of what was made of them, whose pages are shown. Raises InputError."""

@@ -38,14 +38,11 @@ def order_methods(row: Mapping[str, Any]) -> dict[str, str]:
     first = find_recommended_suffix(row)
     shown = {first: METHODS[first]} | METHODS
     if _has_recommended_values(row):
-        shown = {s: method for s, method in shown.items() if s == first or not _is_rejected(row, s)}
+        for suffix in [s for s in shown if s != first and row["status"] == MISFIT]:
+            values = [name for name in QUANTITY_NAMES if _is_known(row, f"{name}{suffix}")]
+            if values and not any(_is_known(row, f"{n}{suffix}_std") for n in values):  # the tracks reject the fit
+                del shown[suffix]
     return shown
-
-
-def _is_rejected(row: Mapping[str, Any], suffix: str) -> bool:
-    """Decide whether the tracks reject a fit so that none of its values has an error."""
-    values = [name for name in QUANTITY_NAMES if _is_known(row, f"{name}{suffix}")]
-    return row["status"] == MISFIT and bool(values) and not any(_is_known(row, f"{n}{suffix}_std") for n in values)
 
 
 def has_values(row: Mapping[str, Any]) -> bool:
