@@ -125,20 +125,17 @@ class Effect:
             if name not in LAWS:
                 raise PluginError(f"{cls.__name__}.{name}: no such law; there are {', '.join(LAWS)}")
             asks = tuple(inspect.signature(member).parameters)[2:]
-            unknown = [a for a in asks if a not in LAWS[name]]
-            if unknown:
-                raise PluginError(
-                    f"{cls.__name__}.{name} asks for {', '.join(unknown)}; {name} may ask for {', '.join(LAWS[name])}"
-                )
+            if unknown := [a for a in asks if a not in LAWS[name]]:
+                allowed = f"{name} may ask for {', '.join(LAWS[name])}"
+                raise PluginError(f"{cls.__name__}.{name} asks for {', '.join(unknown)}; {allowed}")
             cls.laws[name] = asks
 
     def __post_init__(self) -> None:
         for p in self.parameters():
             value = getattr(self, p.name)
             if not (math.isfinite(value) and p.low <= value <= p.high):
-                raise ValueError(
-                    f"{self.name()}.{p.name} = {value:g}: expected a number from {p.low:g} to {p.high:g} {p.unit}"
-                )
+                allowed = f"expected a number from {p.low:g} to {p.high:g} {p.unit}"
+                raise ValueError(f"{self.name()}.{p.name} = {value:g}: {allowed}")
 
     @classmethod
     def name(cls) -> str:

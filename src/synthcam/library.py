@@ -172,11 +172,9 @@ def _check(kind: type[Effect], where: str) -> None:
     """Raise PluginError if a class is not a complete effect."""
     if "__dataclass_params__" not in vars(kind):
         raise PluginError(f"{where}: expected @dataclass(frozen=True) before class {kind.__name__}")
-    plain = [f.name for f in fields(kind) if "typical" not in f.metadata or f.default is MISSING]
-    if plain:
-        raise PluginError(
-            f'{where}: {plain[0]}: expected a parameter, such as {plain[0]}: float = parameter("1", typical=1)'
-        )
+    for plain in (f.name for f in fields(kind) if "typical" not in f.metadata or f.default is MISSING):
+        example = f'{plain}: float = parameter("1", typical=1)'
+        raise PluginError(f"{where}: {plain}: expected a parameter, such as {example}")
     if not kind.laws:
         raise PluginError(f"{where}: changes no law; expected a method named as one of {', '.join(LAWS)}")
     if not kind.strengths():

@@ -327,14 +327,13 @@ LAUNCH_SPIN = "launch.spin"  # what `free` may hold beside parameters: the spin 
 
 def build_model(settings: Mapping[str, Any], free: tuple[str, ...] = ()) -> Model:
     """Build the model of checked plain settings with the keys ball, model, effects and free_laws."""
-    effects = tuple(
-        library()[name](**values) for name, values in (settings.get("effects") or {}).items() if values is not None
-    )
-    tables = tuple(
-        TabulatedLaw.of(name, values["x"], values["y"], settings["model"])
-        for name, values in (settings.get("free_laws") or {}).items()
-        if values is not None
-    )
+
+    def given(section: str) -> dict[str, Any]:
+        return {name: values for name, values in (settings.get(section) or {}).items() if values is not None}
+
+    effects = tuple(library()[name](**values) for name, values in given("effects").items())
+    numbers = settings["model"]
+    tables = tuple(TabulatedLaw.of(name, v["x"], v["y"], numbers) for name, v in given("free_laws").items())
     return Model(ball=Ball(**settings["ball"]), effects=(*effects, *tables), free=free, **settings["model"])
 
 

@@ -57,16 +57,10 @@ class ShardPlan:
 
     def document(self) -> dict[str, Any]:
         """Everything that must agree for two runs to write the same shards; `clips` may grow."""
-        document = {
-            "scene": self.scene.settings,
-            "seed": self.seed,
-            "every": self.every,
-            "clips_per_shard": self.clips_per_shard,
-            "format": self.kind,
-            "version": version("synthcam"),
-            "effect_files": hash_effect_files(self.scene.settings.get("effects") or ()),
-            "clips": self.clips,
-        }
+        files = hash_effect_files(self.scene.settings.get("effects") or ())
+        shards = {"every": self.every, "clips_per_shard": self.clips_per_shard, "format": self.kind}
+        made = {"version": version("synthcam"), "effect_files": files, "clips": self.clips}
+        document = {"scene": self.scene.settings, "seed": self.seed} | shards | made
         plain: dict[str, Any] = json.loads(json.dumps(document))
         return plain
 
@@ -200,18 +194,14 @@ def _write_in_worker(plan: ShardPlan, effects: tuple[Path, ...], folder: Path, s
 
 def _describe(frame: LabelledFrame) -> dict[str, Any]:
     """The truth of a frame, and the camera, as JSON has it."""
-    balls = zip(frame.ids.tolist(), frame.centres.tolist(), frame.boxes.tolist(), frame.visible.tolist(), strict=True)
-    return {
-        "scene": frame.clip.drawn["name"],
-        "seed": frame.clip.seed,
-        "clip": frame.clip.number,
-        "frame": frame.frame,
-        "balls": [
-            {"id": ball, "centre": [round(x, 6) for x in centre], "box": [round(x, 6) for x in box], "visible": whole}
-            for ball, centre, box, whole in balls
-        ],
-        "camera": frame.clip.camera_json,
-    }
+    rows = zip(frame.ids.tolist(), frame.centres.tolist(), frame.boxes.tolist(), frame.visible.tolist(), strict=True)
+    balls = [
+        {"id": ball, "centre": [round(x, 6) for x in centre], "box": [round(x, 6) for x in box], "visible": whole}
+        for ball, centre, box, whole in rows
+    ]
+    clip = frame.clip
+    about = {"scene": clip.drawn["name"], "seed": clip.seed, "clip": clip.number, "frame": frame.frame}
+    return about | {"balls": balls, "camera": clip.camera_json}
 
 
 def _write_tar(frames: Iterator[LabelledFrame], path: Path) -> None:

@@ -138,9 +138,8 @@ def make_true_events(motion: Trajectory, fps: float) -> pd.DataFrame:
     kinds = {"kind": "str", "i": "int64", "j": "int64"}
     rows = [(e.t, e.t * fps, e.kind, e.i, e.j, *e.n, e.impulse_n, e.impulse_t) for e in motion.events]
     columns = zip(*rows, strict=True) if rows else [()] * len(names)  # an empty table has its types too
-    table = pd.DataFrame(
-        {name: pd.Series(list(c), dtype=kinds.get(name, "float64")) for name, c in zip(names, columns, strict=True)}
-    )
+    typed = ((name, list(column), kinds.get(name, "float64")) for name, column in zip(names, columns, strict=True))
+    table = pd.DataFrame({name: pd.Series(column, dtype=kind) for name, column, kind in typed})
     for name in dict.fromkeys(name for e in motion.events for name in e.drawn):
         table[name] = [e.drawn.get(name, np.nan) for e in motion.events]
     return table

@@ -28,15 +28,9 @@ def write(clips: Iterator[RecordedClip], folder: Path) -> None:
 
 def _info(clip: RecordedClip) -> str:
     width, height = clip.camera_json["size"]
-    entries = {
-        "name": f"clip-{clip.number:06d}",
-        "imDir": "img1",
-        "frameRate": f"{clip.camera_json['fps']:g}",
-        "seqLength": clip.frames,
-        "imWidth": width,
-        "imHeight": height,
-        "imExt": ".png",
-    }
+    name, rate = f"clip-{clip.number:06d}", f"{clip.camera_json['fps']:g}"
+    entries = {"name": name, "imDir": "img1", "frameRate": rate, "seqLength": f"{clip.frames}"}
+    entries |= {"imWidth": width, "imHeight": height, "imExt": ".png"}
     return "[Sequence]\n" + "".join(f"{key}={value}\n" for key, value in entries.items())
 
 

@@ -106,9 +106,8 @@ class StickingBodies:
             own = {k: states[k] for k in (*one.places, *two.places)}
             whole = RigidGroup.join(own, self.bodies, {})
             after = whole.states()
-            was, now = (
-                np.sum([self.bodies[k][1] * np.array(s[k][3:5]) for k in one.places], axis=0) for s in (own, after)
-            )
+            momenta = ([self.bodies[k][1] * np.array(s[k][3:5]) for k in one.places] for s in (own, after))
+            was, now = (np.sum(of_each, axis=0) for of_each in momenta)
             impulse_n, impulse_t = float((now - was) @ n), float((now - was) @ (-n[1], n[0]))
             self.bonds[min(i, j), max(i, j)] = strength
             together = [Event(t, "together", min(i, j), max(i, j))]
