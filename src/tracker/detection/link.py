@@ -198,7 +198,8 @@ def to_centres(tracks: Tracks, camera: Camera) -> Tracks:
     centre, jacobian = camera.centre_of_glint(seen)
     flags = tracks.flags
     if not camera.corrects_glint:
-        flags = np.array(["|".join(filter(None, ["glint", *f.split("|")])) for f in flags.tolist()], dtype=np.str_)
+        words = {own: "|".join(filter(None, ["glint", *own.split("|")])) for own in set(flags.tolist())}
+        flags = np.array([words[own] for own in flags.tolist()], dtype=np.str_)
     return replace(
         tracks,
         x=centre[:, 0].copy(),

@@ -1,15 +1,13 @@
 """Fits a circle of known radius to the outline of a disc that is partly hidden."""
 
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from synthcam_shared.arrays import Array
-from tracker.detection.outlines.disc_fit import quick_median
+from tracker.detection.outlines.disc_fit import Picture, quick_median
 
-Picture = NDArray[np.floating[Any]]
 Point: TypeAlias = tuple[float, float]
 _ONES = np.eye(2)
 
