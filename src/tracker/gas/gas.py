@@ -114,7 +114,12 @@ def measure_gas(
     a2, a2_std = measure_sonine(table, time, noise)
     values = {"position_noise": noise, "noise_ratio": noise / claimed, "sonine_a2": a2, "sonine_a2_std": a2_std}
     values |= _measure_rates(balls, contacts) | _predict_rates(time, sides, camera)
-    time, values = _add_camera_errors(time, values, camera)
+    # the relative errors of lengths and of the frame rate in whatever depends on them
+    of_energy = 2 * np.hypot(camera.scale_error, camera.fps_error)
+    energies = ("temperature", "energy", *SINKS.values())
+    time = time.assign(**{f"{k}_std": np.hypot(time[f"{k}_std"], of_energy * time[k]) for k in energies})
+    errors = {"free_path": camera.scale_error, "contact_rate": camera.fps_error}
+    values |= {f"{k}_std": float(np.hypot(values[f"{k}_std"], error * values[k])) for k, error in errors.items()}
     return GasObservables(
         time=time,
         pairs=pair_correlation(by_frame, sides, used.pair_reach_diameters * camera.diameter, used.pair_bins),
@@ -123,17 +128,6 @@ def measure_gas(
         area=(left, bottom, right, top),
         diameter=camera.diameter,
     )
-
-
-def _add_camera_errors(
-    time: pd.DataFrame, values: dict[str, float], camera: GasCamera
-) -> tuple[pd.DataFrame, dict[str, float]]:
-    """Both with the relative errors of lengths and of the frame rate in whatever depends on them."""
-    of_energy = 2 * np.hypot(camera.scale_error, camera.fps_error)
-    energies = ("temperature", "energy", *SINKS.values())
-    time = time.assign(**{f"{k}_std": np.hypot(time[f"{k}_std"], of_energy * time[k]) for k in energies})
-    errors = {"free_path": camera.scale_error, "contact_rate": camera.fps_error}
-    return time, values | {f"{k}_std": float(np.hypot(values[f"{k}_std"], e * values[k])) for k, e in errors.items()}
 
 
 def _measure_rates(balls: Sequence[BallTrack], contacts: pd.DataFrame) -> dict[str, float]:

@@ -201,7 +201,7 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
     guess, *others = guesses
     first = fit_motion(contact.pair, True, [guess])
     read = _fit_with_noise(contact, [guess], first)
-    if not _is_accepted(read):  # the descent may have ended in another minimum
+    if isinstance(read, str) or not read.is_tied_accepted:  # the descent may have ended in another minimum
         second = fit_motion(contact.pair, True, [*others, guess])
         if not _is_same_minimum(first, second):
             again = _fit_with_noise(contact, [*others, guess], second)
@@ -290,10 +290,6 @@ def fit_lasting_collision(
         unseen=frozenset(unseen),
         fits=fits,
     )
-
-
-def _is_accepted(read: CollisionFits | str) -> bool:
-    return isinstance(read, CollisionFits) and read.is_tied_accepted
 
 
 def _reduced_chi2(read: CollisionFits | str) -> float:
