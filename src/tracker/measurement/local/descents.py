@@ -38,11 +38,6 @@ class Descent:
     hopeless: float = np.inf
     least_gain: float = 1e-4
 
-    @staticmethod
-    def of(problem: LocalProblem, x: Array, sizes: Sequence[float], least_gain: float) -> Descent:
-        """The descent of one problem from one start (n,)."""
-        return Descent([problem], x[None], sizes, least_gain=least_gain)
-
 
 FitInSteps: TypeAlias = Generator[list[Descent], list[list[LocalSolution]], Found]
 

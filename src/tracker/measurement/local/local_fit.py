@@ -181,7 +181,7 @@ def fit_motions(
                 x[2 * ball - 1 : 2 * ball + 1] = np.mean(own_places, axis=0)
             for k in range(len(stretches)):
                 x[problem.start[k] : problem.start[k] + 2] -= x[problem.place(k)]
-            [[first]] = yield [Descent.of(problem, x, [1.0] * len(stretches), ROUGH_GAIN)]
+            [[first]] = yield [Descent([problem], x[None], [1.0] * len(stretches), least_gain=ROUGH_GAIN)]
             found.append((yield from _try_other_starts(first)))
             if found[-1].is_good:  # the simplest come first
                 return found[-1:]
@@ -246,7 +246,7 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool) -> FitInStep
         if k in errors:
             square = (squares[k] + shared * mean) / (freedom[k] + shared) * errors[k].inflation
         sizes.append(size * float(np.sqrt(max(square, 1.0 if known else 1e-12))))
-    again = yield [Descent.of(one.problem, one.x, sizes, ROUGH_GAIN) for one in found]
+    again = yield [Descent([one.problem], one.x[None], sizes, least_gain=ROUGH_GAIN) for one in found]
     return sorted((one for [one] in again), key=lambda s: -s.log_evidence)
 
 
