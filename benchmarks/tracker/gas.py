@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from benchmarks.harness import ROOT, save
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
-from tracker.gas.gas import GasCamera, GasObservables, measure_gas
-from tracker.gas.kinetic_theory import contact_pair_correlation, contact_rate
+from tracker.gas.gas import GasCamera, GasObservables, contact_pair_correlation, contact_rate, measure_gas
 from tracker.gas.pair_correlation import pair_correlation
 from tracker.measurement.crowd.contact_table import tabulate_contacts
 from tracker.measurement.positions import BallTrack, to_ball_tracks

@@ -7,8 +7,7 @@ import pytest
 import synthcam
 from synthcam_shared.errors import InputError
 from tracker.gas.energy import SINKS, measure_contact_losses, measure_losses, predict_losses
-from tracker.gas.gas import GasCamera, measure_gas
-from tracker.gas.kinetic_theory import contact_pair_correlation, contact_rate, mean_free_path
+from tracker.gas.gas import GasCamera, contact_pair_correlation, contact_rate, mean_free_path, measure_gas
 from tracker.gas.pair_correlation import pair_correlation
 from tracker.gas.velocities import FreePath, HalfVelocities, find_slide_end, fit_velocities
 from tracker.measurement.crowd.contact_table import tabulate_contacts
