@@ -71,8 +71,7 @@ def minimise_chi2(whitened: WhitenedClips, fit: ModelFit, rough: bool = False, u
             fit, last = here, False
             continue
         for share in (1.0, 0.3, 0.1) if fit.is_linearised_here else (1.0,):
-            near = {n: (1 - share) * fit.model.value(n) + share * v for n, v in values.items()} if share < 1 else values
-            moved = _apply_step(whitened, fit, near, share * own)
+            moved = _apply_step(whitened, fit, _interpolate(fit, values, share), share * own)
             gained = fit.chi2 - moved.chi2 if moved else -np.inf
             if gained > 0 or (few := _find_failing_clips(fit, moved, held)).any():
                 break
@@ -124,6 +123,11 @@ def _relinearise(whitened: WhitenedClips, fit: ModelFit) -> ModelFit | None:
         return linearise(whitened, fit.model, fit.names, fit.launches)
     except STEP_ERRORS:
         return None
+
+
+def _interpolate(fit: ModelFit, values: Mapping[str, float], share: float) -> dict[str, float]:
+    """Values between the fit's and new ones, by this share."""
+    return {n: (1 - share) * fit.model.value(n) + share * v for n, v in values.items()} if share < 1 else dict(values)
 
 
 def take_one_step(whitened: WhitenedClips, fit: ModelFit, model: Model) -> ModelFit | None:
