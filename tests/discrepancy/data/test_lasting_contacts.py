@@ -61,8 +61,7 @@ def test_a_repair_is_printed_as_what_was_done_to_the_tracks(capsys):
     given = sort_notes([repaired, strays, no_striker, lost])
     assert (given.left_out, given.processed, given.common) == ((strays, lost), (repaired,), (no_striker,))
     assert count_lost_clips([repaired, strays, no_striker, lost]) == 1
-    cli._print_processed([str(note) for note in given.processed])
-    cli._print_left_out([str(note) for note in given.left_out], most=False)
+    cli._print_notes([str(note) for note in given.processed], [str(note) for note in given.left_out], most=False)
     tracks, left = capsys.readouterr().out.splitlines()
     assert tracks == "Tracks: clip 3: balls exchange their numbers in frame 8."
     assert left.startswith("Left out: clip 1")
