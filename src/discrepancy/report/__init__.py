@@ -1,1 +1,1 @@
-"""The report of a search or a plan: narrative, figures, discrepancy.json and a self-contained page."""
+"""The report of a search or a plan: figures, discrepancy.json and a page with the sentences of `wording`."""
