@@ -11,6 +11,7 @@ from tracker_discs import film
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Frames, spread_frames
 from tracker.detection.choose import choose_detector
+from tracker.measurement.crowd.crowd_rows import estimate_contacts
 from tracker.pipeline import measure_tables, run
 
 
@@ -66,7 +67,8 @@ def test_progress_counts_the_frames_of_one_film_and_the_clips_of_several(tmp_pat
         assert len(survey) == survey[-1][1] in (24, 36)
 
 
-def test_progress_within_one_clip_of_a_crowd_counts_its_contacts(tmp_path):
+def test_progress_within_one_clip_of_a_crowd_counts_its_contacts(tmp_path, monkeypatch):
+    monkeypatch.setitem(estimate_contacts.__kwdefaults__, "at_once", 2)
     rng, frame, parts = np.random.default_rng(1), np.arange(80), []
     hit = 33.3
     for pair in range(3):  # a ball of 40 px gives its speed to another
@@ -81,4 +83,5 @@ def test_progress_within_one_clip_of_a_crowd_counts_its_contacts(tmp_path):
     paths = (tmp_path / name for name in ("tracks.csv", "out", "camera.json"))
     outcome = measure_tables(*paths, progress=lambda *done: said.append(done))
     assert outcome.estimates["status"].tolist() == ["crowd"] * 3
-    assert said == [(0, 1), *((k, 6) for k in range(6))]  # each of the three shows the friction, then its impact
+    # In parts of two contacts, those that show the friction first. Three are too few for that, so none is fitted again.
+    assert said == [(0, 1), (0, 6), (2, 6)]
