@@ -188,6 +188,8 @@ FILM = np.zeros((5, 160, 200), np.uint8)
         ([FILM[0], FILM[0, :80]], "film: frame 1 is 200x80 uint8, expected 200x160"),
         (FILM[..., None].repeat(5, 3), "film: pictures of shape"),
         (7, "film: of type int"),
+        (np.uint8(7), "film: of type uint8"),
+        (np.array(7), "film: of type ndarray"),
         (None, "film: of type NoneType"),
         ("nowhere.tif", "nowhere.tif: no such file"),
         ([[[1, 2], [3]], [[1, 2], [3]]], "film: frame 0 cannot be read"),

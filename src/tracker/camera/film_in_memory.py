@@ -24,7 +24,8 @@ def wrap_frames(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
     if hasattr(film, "columns"):  # a table of pandas, polars or pyarrow
         raise InputError(f"{FILM}: a table, expected a film; tracker.measure(tracks, camera) measures tracks")
     indexed = hasattr(film, "__len__") and hasattr(film, "__getitem__")
-    if not indexed and not isinstance(film, Iterable):
+    is_number = getattr(film, "shape", None) == ()  # an array without an axis has a length that raises TypeError
+    if is_number or not (indexed or isinstance(film, Iterable)):
         raise InputError(
             f"{FILM}: of type {type(film).__name__}, expected an array (frames, height, width), frames or a path"
         )

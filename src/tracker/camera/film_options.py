@@ -166,6 +166,9 @@ class FilmOptions:
     def of(given: FilmKeywords) -> FilmOptions:
         """Make the options of keywords. Raises InputError for an unknown one, and for a value of another type."""
         check_keywords(given, FilmKeywords.__annotations__)
+        for ball in given.get("ball", ()):
+            if not isinstance(ball, str):
+                raise InputError(f"ball: holds {type(ball).__name__}, expected str, such as '120,58@5'")
         values: dict[str, Any] = {**given}
         values |= {"mask": str(given.get("mask", "")), "ball": tuple(given.get("ball", ()))}
         return FilmOptions(**values)

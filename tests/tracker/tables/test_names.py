@@ -127,6 +127,7 @@ def test_a_clip_keeps_its_number_in_python():
         (lambda t: tracker.measure(t.drop(columns="x"), CAMERA), "argument columns x=NAME,y=NAME,... names others"),
         (lambda t: tracker.measure_all(t, CAMERA, columns="x=no"), "no column no, as argument columns says"),
         (lambda t: tracker.track(np.zeros((3, 9, 9), np.uint8), CAMERA, select=3), "select: of type int, expected str"),
+        (lambda t: tracker.track(np.zeros((3, 9, 9), np.uint8), CAMERA, ball=[3]), "^ball: holds int, expected str"),
         (
             lambda t: tracker.measure(t, CAMERA, units="mm"),
             "^units: unknown, expected one of columns, decimal, point, u",
