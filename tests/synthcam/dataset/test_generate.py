@@ -97,6 +97,7 @@ def test_a_second_run_makes_nothing(one):
     ticks = []
     outcome = generate_dataset(plan(), one, 2, lambda *x: ticks.append(x))
     assert (outcome.made, ticks) == (0, [(6, 6)])
+    assert len(pd.read_parquet(one / "truth/clips.parquet")) == 6
     assert {p: p.stat().st_mtime_ns for p in one.rglob("*")} == before
 
 
