@@ -19,7 +19,7 @@ from discrepancy.policy import current_policy
 from discrepancy.select.effect_claim import EffectClaim, profile_std
 from discrepancy.select.library_fits import fit_with_candidate
 from discrepancy.select.score_test import ScoreTests
-from discrepancy.time_left import Progress, in_stage, showing_stages
+from discrepancy.time_left import Progress, in_stage, report_progress, showing_stages
 from discrepancy.wording import describe_claim
 from synthcam.library import library
 from synthcam.model import Model
@@ -85,6 +85,7 @@ def add(
     check_effect(effect)
     given = check_clips(clips, model)
     with showing_stages(progress), in_stage("noise"):
+        report_progress()
         clips, _ = remove_outliers_beside_model(remove_outliers(given), [], model)
         noise = estimate_noise(clips)
         evidence, base = WhitenedClips.of(clips, noise), fit_base_model(clips, model, noise)

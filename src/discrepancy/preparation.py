@@ -23,7 +23,7 @@ from discrepancy.fitting.stretch_starts import choose_starts
 from discrepancy.noise.error_trends import remove_frame_shift, rescale_errors
 from discrepancy.noise.model import Noise, estimate_noise
 from discrepancy.policy import current_policy
-from discrepancy.time_left import in_stage
+from discrepancy.time_left import in_stage, report_progress
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
 
@@ -77,6 +77,7 @@ def prepare_data(clips: Sequence[MeasuredCollision], model: Model, stretches: bo
     comes before any claim, because a claim could absorb underestimated noise. If the tracks were smoothed, the stage
     removes the parts that the filter has moved instead.
     """
+    report_progress()
     cleaned = remove_outliers(clips)
     fitted, held_out = split_held_out(cleaned)
     if not stretches and estimate_noise(fitted).is_smoothed:

@@ -111,10 +111,12 @@ def showing_stages(progress: Progress) -> Iterator[None]:
 
 @contextmanager
 def in_stage(name: str) -> Iterator[None]:
-    """The context, or the function as a decorator, that belongs to a stage; the stage around it goes on after it."""
+    """The context, or the function as a decorator, that belongs to a stage; the stage around it goes on after it.
+
+    It is shown from its first prediction on: a fit that is known already shows nothing.
+    """
     progress, _ = _shown.get()
     before = _shown.set((progress, name))
-    progress(name)
     try:
         yield
     finally:

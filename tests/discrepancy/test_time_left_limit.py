@@ -1,5 +1,7 @@
 """A search that is cut short says so, and names nothing."""
 
+from itertools import groupby
+
 import numpy as np
 import pytest
 from discrepancy_clips import HIDDEN, collisions, only, searched
@@ -9,6 +11,7 @@ from discrepancy.free_laws.library import free_laws_over
 from discrepancy.search import search
 from discrepancy.time_left import Deadline, OutOfTime, in_stage, report_progress, showing_stages
 from discrepancy.wording import write_story
+from synthcam.library import library
 from synthcam.model import Model
 
 
@@ -24,7 +27,17 @@ def test_the_time_counts_only_where_it_is_limited():
                 report_progress()
             report_progress()
     report_progress()
-    assert told == ["fit", "fit", "search", "search", "fit", "fit"]
+    assert told == ["fit", "search", "fit", "fit"]
+
+
+def test_each_stage_is_shown_while_it_works_and_not_where_its_result_is_known(monkeypatch):
+    """The estimate of the time left takes the lengths of stages from what is shown."""
+    only(monkeypatch, air_drag=library()["air_drag"])
+    told = []
+    search(collisions(Model().replace({"air_drag.share": 5.0}), 8, 3), Model(), told.append)
+    stages = [stage for stage, _ in groupby(told)]
+    assert stages[:4] == ["noise", "fit", "noise", "fit"]  # outliers are sought beside a first fit
+    assert stages[4:] == ["search", "free laws", "search", "free laws", "gap", "where"]
 
 
 def test_each_forecast_asks_for_the_time():

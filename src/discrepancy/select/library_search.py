@@ -22,6 +22,7 @@ from discrepancy.select.effect_claim import EffectClaim, find_similar_pairs, pro
 from discrepancy.select.library_fits import SCORE_ERROR_CHI2, Key, LibraryFits, State
 from discrepancy.select.model_cost import compute_cost
 from discrepancy.select.score_test import CandidateScore, ScoreTests, largest_cosine
+from discrepancy.time_left import in_stage
 from synthcam.model import Model
 
 SCORE_ERROR_SHARE = 0.2  # beside SCORE_ERROR_CHI2, a score test may be wrong by this share of what the effect explains
@@ -108,6 +109,7 @@ def search_from(library: LibraryFits, found: Selection, effects: Iterable[str], 
     return again if less > required else None
 
 
+@in_stage("search")
 def fit_effects_from(library: LibraryFits, effects: Iterable[str], model: Model) -> State:
     """Fit these effects from a model's values, to start the library search. Raises ValueError without a motion."""
     base = library.base
@@ -137,6 +139,7 @@ def find_undetectable(library: LibraryFits, state: State) -> tuple[str, ...]:
 # --- Add an effect ---
 
 
+@in_stage("search")
 def choose_addition(library: LibraryFits, state: State) -> Candidate | None:
     """Choose the candidate that the library search adds: of leader and rivals, the simplest that fits as well.
 
@@ -198,6 +201,7 @@ def _choose_contenders(
 # --- Drop or exchange an effect ---
 
 
+@in_stage("search")
 def improve_until_stable(library: LibraryFits, state: State) -> State:
     """Drop and exchange candidates until nothing is better, or a model comes up again."""
     before: set[Key] = set()
