@@ -40,7 +40,8 @@ def predict_losses(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: flo
     effects of one standard error of r and of s, which all contacts share. Values are NaN for a table without kicks.
     """
     least = 5  # contacts with a known r
-    lost, variance, common = *np.full((2, len(contacts)), np.nan), np.zeros((len(contacts), 2))
+    lost, variance = np.full((2, len(contacts)), np.nan)
+    common = np.zeros((len(contacts), 2))
     if "kick" not in contacts or not len(contacts):
         return lost, variance, common
     kick, kick_std, *normal = (contacts[name].to_numpy(dtype=np.float64) for name in ("kick", "kick_std", "nx", "ny"))

@@ -113,7 +113,10 @@ def find_impossible_values(values: DerivedValues, stretch: float, errors: float)
     for name, (low, low_flag, high, high_flag) in VALUE_RANGES.items():
         index = QUANTITY_NAMES.index(name)
         value, margin = values.value[index], errors * stretch * values.std[index]
-        flags += [high_flag] if value - margin > high else [low_flag] if value + margin < low else []
+        if value - margin > high:
+            flags.append(high_flag)
+        elif value + margin < low:
+            flags.append(low_flag)
     return flags
 
 
