@@ -43,11 +43,11 @@ def read_picture_folder(folder: Path, options: FilmOptions = DEFAULT_OPTIONS) ->
         if picture.shape != first.shape or picture.dtype != first.dtype:
             has, wants = (f"{'x'.join(map(str, a.shape[1::-1]))} {a.dtype}" for a in (picture, first))
             raise InputError(f"{paths[k]}: {has}, expected {wants} as in {paths[0].name}")
-        picture.flags.writeable = False
         return picture
 
     recall = lru_cache(maxsize=KEPT_BYTES // max(first.nbytes, 1))(fetch)
-    frames = make_grey_frames(paths[0], len(paths), first.shape, first.dtype, recall)
+    # a detector of the user's own may change the pictures that it gets
+    frames = make_grey_frames(paths[0], len(paths), first.shape, first.dtype, lambda k: recall(k).copy())
     frames.lossy = paths[0].suffix.lower() in (".jpg", ".jpeg")
     hidden = sorted(path.name for path in folder.iterdir() if path.is_file() and is_hidden_file(path))
     if hidden:
