@@ -39,10 +39,11 @@ def compare(
         raise InputError(f"{known}: no such file, expected a dataset with its truth")
     with open_resumable(report, "tracker compare", "a new folder for the report"):
         (report / "results").mkdir(exist_ok=True)
-        scores = []
-        for k, name in enumerate(chosen):
-            show = partial(lambda k, done, clips: progress(k * clips + done, len(chosen) * clips), k)
-            scores.append(_track_and_score(dataset, name, report, show))
+
+        def show(before: int, done: int, clips: int) -> None:
+            progress(before * clips + done, len(chosen) * clips)
+
+        scores = [_track_and_score(dataset, name, report, partial(show, k)) for k, name in enumerate(chosen)]
         whole = scores[0].to_dict()
         for other in scores[1:]:
             whole["detectors"] |= other.to_dict()["detectors"]
