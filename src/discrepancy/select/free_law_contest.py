@@ -19,10 +19,9 @@ from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.policy import current_policy
 from discrepancy.select.law_fit import fit_law, fit_law_with_effect, score_law, whiten_law_columns
-from discrepancy.select.library_fits import LibraryFits, State
+from discrepancy.select.library_fits import SCORE_ERROR_CHI2, LibraryFits, State
 from discrepancy.select.library_search import (
     MAX_EXCHANGES,
-    SCORE_ERROR_CHI2,
     SCORE_ERROR_SHARE,
     Selection,
     iterate_models,

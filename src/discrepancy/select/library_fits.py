@@ -25,6 +25,7 @@ State = tuple[Candidate, ...]
 Key = frozenset[Candidate]
 
 MIN_USEFUL_CHI2 = 2.0  # less is not worth another fit
+SCORE_ERROR_CHI2 = 15.0  # a score test is only of first order: its chi^2 may be wrong by so much
 
 
 class LibraryFits:
@@ -99,10 +100,17 @@ class LibraryFits:
     def extend(self, key: Key, fit: ModelFit, scored: CandidateScore, slack: float = 30.0) -> None:
         """Fit and keep the model of `key`, which is the model of `fit` with the scored candidate added.
 
-        The fit is given up where it cannot come within `slack` in chi^2 of the best model with as many candidates.
+        The fit is given up where it cannot come within `slack` in chi^2, or within SCORE_ERROR_CHI2 in cost, of the
+        best model with as many candidates. The cost of its freedom is that at the start of each descent.
         """
-        useful_chi2 = min((f.chi2 for f in self.rivals(key)), default=math.inf) + slack
-        self._keep(key, fit_with_candidate(self.evidence, fit, scored, useful_chi2=useful_chi2))
+        rivals = self.rivals(key)
+        useful_chi2 = min((f.chi2 for f in rivals), default=math.inf) + slack
+        useful_cost = min((compute_cost(f, self.base) for f in rivals), default=math.inf) + SCORE_ERROR_CHI2
+
+        def find_useful_chi2(start: ModelFit) -> float:
+            return min(useful_chi2, useful_cost - (compute_cost(start, self.base) - start.chi2))
+
+        self._keep(key, fit_with_candidate(self.evidence, fit, scored, useful_chi2=find_useful_chi2))
         self.done.discard(key)
         self.latest[key] = scored.candidate
 
@@ -203,18 +211,18 @@ def fit_with_candidate(
     fit: ModelFit,
     scored: CandidateScore,
     min_share: float = 0.5,
-    useful_chi2: float = math.inf,
+    useful_chi2: Callable[[ModelFit], float] = lambda start: math.inf,
 ) -> ModelFit:
     """Fit a model of the library with one candidate more: its strengths, then its shape parameters, with all others.
 
     The descent starts where the score test leads. If that gains less than `min_share` of what the test promised, the
     fit starts from realistic sizes as well. For a base parameter held at zero it starts from realistic sizes only.
-    The result is the best of those descents, roughly converged; `fit` itself if none can start. useful_chi2: see
-    `minimise_chi2`.
+    The result is the best of those descents, roughly converged; `fit` itself if none can start. useful_chi2: of a
+    descent, from its start; see `minimise_chi2`.
     """
 
     def descend(start: ModelFit) -> ModelFit:
-        return minimise_chi2(evidence, start, rough=True, useful_chi2=useful_chi2)
+        return minimise_chi2(evidence, start, rough=True, useful_chi2=useful_chi2(start))
 
     tries = [] if scored.candidate.kind is None else [_descend_from_score(evidence, fit, scored, descend)]
     if not tries or tries[0].chi2 > fit.chi2 - min_share * scored.gain:

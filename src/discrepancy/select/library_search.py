@@ -19,14 +19,13 @@ from discrepancy.fitting.significance import explains_too_little
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.policy import current_policy
 from discrepancy.select.effect_claim import EffectClaim, find_similar_pairs, profile_std
-from discrepancy.select.library_fits import Key, LibraryFits, State
+from discrepancy.select.library_fits import SCORE_ERROR_CHI2, Key, LibraryFits, State
 from discrepancy.select.model_cost import compute_cost
 from discrepancy.select.score_test import CandidateScore, ScoreTests, largest_cosine
 from discrepancy.time_left import in_stage
 from synthcam.model import Model
 
-SCORE_ERROR_CHI2 = 15.0  # a score test is only of first order: its chi^2 may be wrong by so much,
-SCORE_ERROR_SHARE = 0.2  # plus this share of the chi^2 that the effect explains
+SCORE_ERROR_SHARE = 0.2  # beside SCORE_ERROR_CHI2, a score test may be wrong by this share of what the effect explains
 MAX_EXCHANGES = 4  # rivals of one effect that are fitted instead of it
 
 

@@ -14,6 +14,7 @@ from discrepancy.noise.model import estimate_noise
 from discrepancy.policy import SearchPolicy, applied_policy
 from discrepancy.select import library_fits as fits_of_library
 from discrepancy.select.library_search import describe_claims
+from discrepancy.select.model_cost import compute_cost
 from discrepancy.select.score_test import ScoreTests
 from synthcam.library import library
 from synthcam.model import Model
@@ -130,3 +131,27 @@ def test_starts_of_a_real_size_are_tried_at_the_likeliest_shapes_only(monkeypatc
         best = fits_of_library._realistic_starts(seen.evidence, seen.base, scored)[0].model
     assert len(tried) == 10
     assert (best.value("dropped_frame.frame"), best.value("dropped_frame.lost")) == (40.0, 1.0)
+
+
+def test_a_candidate_whose_freedom_costs_too_much_is_given_up_sooner(monkeypatch):
+    """Waves have two strengths and two shapes. Their chi^2 must be lower by as much as these cost more than a drag."""
+    only(monkeypatch, **{n: library()[n] for n in ("air_drag", "plate_waviness")})
+    clips = collisions(Model().replace({"air_drag.share": 3.0}), 4, 3)
+    noise = estimate_noise(clips)
+    store = library_fits(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
+    scored = {c.effect: c for c in store.score_tests(()).ranking()}
+    drag, waves = (frozenset({scored[name].candidate}) for name in ("air_drag", "plate_waviness"))
+    store.extend(drag, store.base, scored["air_drag"])
+    asked, inner = [], fits_of_library.minimise_chi2
+
+    def minimise(evidence, start, *args, useful_chi2=np.inf, **options):
+        asked.append((start, useful_chi2))
+        return inner(evidence, start, *args, useful_chi2=useful_chi2, **options)
+
+    monkeypatch.setattr(fits_of_library, "minimise_chi2", minimise)
+    store.extend(waves, store.base, scored["plate_waviness"])
+    start, useful_chi2 = next(one for one in asked if "plate_waviness.wavelength" in one[0].names)
+    price = compute_cost(start, store.base) - start.chi2
+    assert price > store.cost_of(drag) - store.fits[drag].chi2 > 0
+    assert useful_chi2 + price == pytest.approx(store.cost_of(drag) + fits_of_library.SCORE_ERROR_CHI2)
+    assert useful_chi2 < store.fits[drag].chi2 + 30
