@@ -61,8 +61,10 @@ class Plan:
     def changes(self) -> pd.DataFrame:
         """A row for each change of the experiment, the best first.
 
-        The columns are name and words. limit and naming are the factors by which these limits fall. parts and joins are
-        the pairs of effects that it makes distinguishable and indistinguishable.
+        The columns are name and words, and:
+
+        - limit, naming: the factors by which these limits fall;
+        - parts, joins: the pairs of effects that it makes distinguishable and indistinguishable.
         """
         names = ["name", "words", "limit", "naming", "parts", "joins"]
         return pd.DataFrame([[getattr(g, n) for n in names] for g in self.outcome.gains], columns=names)

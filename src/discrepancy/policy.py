@@ -139,8 +139,9 @@ class SearchPolicy(Settings):
     Derived: it rejects one true claim in 40 at the detection limit, and no strong one."""
 
     leave_one_out_sigma: Positive = 3.0
-    """Sigma that a claim needs in all collisions, each left out once, and from zero by their scatter where more is
-    missing or of free stretches, if noise does not explain that scatter. A convention (3 sigma)."""
+    """Sigma that a claim needs when each collision is left out once. If the model lacks more, or the search uses free
+    stretches, its strengths must also differ from zero by as many sigma of their scatter between clips. A convention (3
+    sigma)."""
 
     poor_chi2_per_point: Positive = 2.0
     """chi^2 per point above which a model does not describe the collisions, so that sigma says little.

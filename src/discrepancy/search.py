@@ -68,7 +68,7 @@ def find(
         Results of `tracker.track` or `tracker.measure` for several clips of one camera; or a tracker's RESULTS;
         or, with `camera`, a table of tracks: a file, or a DataFrame with the columns clip, frame, particle, x, y.
     model : Model, dict, str or Path
-        The model to compare with the measurement: a model, its settings, a model or scene file, or the name of a scene
+        The model to compare with the measurement, its settings, or its file. Also a scene file, or the name of a scene
         that comes with synthcam. The search fits its base parameters that are not zero, and those in its ``free``.
     camera : Camera, dict, str or Path, optional
         Of a table: the keys of camera.json, or its path.

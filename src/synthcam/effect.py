@@ -20,15 +20,16 @@ from typing import Any, ClassVar, Self
 from synthcam_shared.errors import PluginError
 
 # Inputs hold all balls, or all nodes of an integration, at once. Numbers are arrays (balls, n) or broadcast with them.
-# Vectors have a last axis of two. "slip" is the unit vector of the contact velocity. "of_a" is 1 for ball a of the
-# experimenter and 0 for ball b. "other" is the position of the other ball relative to this one. "ball" is the ball of
-# the model, with the radius and mass before any effect.
+# Vectors have a last axis of two. The "slip" is the unit vector of the contact velocity, and "other" the position of
+# the other ball relative to this one. Ball a of the experimenter has 1 as "of_a", and ball b has 0. The "ball" is that
+# of the model, with the radius and mass before any effect.
 LAWS: dict[str, tuple[str, ...]] = {
     # the balls, once a run: radius and mass of ball a
     "mass": (),
     "radius": (),
-    # impact, once a collision; speeds in m/s, approach_speed of the centres, normal_impulse over twice the reduced
-    # mass, obliqueness of the approach: |b|, the sine of its angle with the normal; inertia: I/(m R^2)
+    # impact, once a collision. Speeds are in m/s; approach_speed is that of the centres, and normal_impulse the impulse
+    # over twice the reduced mass. The obliqueness of the approach is |b|, the sine of its angle with the normal.
+    # inertia: I/(m R^2)
     "restitution": ("normal_speed", "heading", "obliqueness"),
     "spin_transfer": ("contact_speed", "normal_impulse", "approach_speed", "heading", "obliqueness", "inertia"),
     "loft": (),  # share of the vertical impulse that the plate does not hold back

@@ -78,7 +78,7 @@ class _RoundedLines:
     def pieces(self, heights: Array) -> Any:
         """Return rounded lines of heights (n, lines) as piecewise polynomials that map points to (..., lines).
 
-        A corner of width w at the distance z w adds w R(z), R = z P(z) + p(z), with the normal density p and its
+        A corner of width w at the distance z w adds w R(z). Here R = z P(z) + p(z), with the normal density p and its
         integral P. The m-th derivative of p is (-1)^m He_m(z) p(z), with the Hermite polynomials He_m.
         """
         from scipy.interpolate import PPoly

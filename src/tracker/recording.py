@@ -218,9 +218,9 @@ def track(
         The keys of camera.json, a path to it, or a clip of synthcam or its camera. Without one, the file beside the
         film; without that, lengths are in pixels.
     detector : str or callable, optional
-        How balls are found, by name, FILE.py or MODULE:NAME; or a function that is given a grey frame and returns
-        positions (n, 2), x and y in px, perhaps with a third column of standard errors; or a class as the files of
-        ``detectors/`` hold. Default: what the film asks for.
+        How balls are found: a name, FILE.py, MODULE:NAME, a class as the files of ``detectors/`` hold, or a function.
+        The function takes a grey frame and returns positions (n, 2), x and y in px. A third column may hold standard
+        errors. Default: what the film asks for.
     channel : {"grey", "red", "green", "blue", "red-green", "red-blue", "green-blue", "colour"} or "#rrggbb", optional
         Of a film in colour; default: grey, unless another shows its balls better.
     colour : str

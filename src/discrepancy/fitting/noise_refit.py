@@ -5,8 +5,8 @@ maximum likelihood (Patterson & Thompson 1971; Harville 1974) allows for that. A
 noise:
 
 - noise that the phases of motion exclude is rejected;
-- the slow noise that they allow is spread over about ten modes per clip, so a disagreement of z sigma becomes one of
-  z / sqrt(1 + z^2 / modes), still far above the threshold of a claim.
+- the slow noise that they allow is spread over about ten modes per clip. So z sigma become z / sqrt(1 + z^2 / modes),
+  which is still far above the threshold of a claim.
 """
 
 from __future__ import annotations

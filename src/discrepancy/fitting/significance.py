@@ -62,8 +62,8 @@ def chance_threshold(
 ) -> float:
     """The sigma that the best of all candidates exceeds by chance, in a share of cases when nothing is hidden.
 
-    The products of the candidates' signatures with white noise are Gaussian with covariance `gram`. 40,000 draws of
-    them, with a fixed seed, give the level to a sixth of itself and its sigma to 1 %.
+    The products of the candidates' signatures with white noise are Gaussian with covariance `gram`. Draws of them,
+    40,000 with a fixed seed, give the level to a sixth of itself and its sigma to 1 %.
 
     gram: (K, K), products of the axes of all candidates. A candidate's axes are an orthonormal basis of its signature
     after projection off everything that the fit absorbs.

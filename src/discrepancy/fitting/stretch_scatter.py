@@ -1,9 +1,9 @@
 """Fits the scatter from one free stretch to the next: of friction, rolling loss, and smooth displacements.
 
 Real cloth, air and cameras differ from place to place and from shot to shot by more than the noise of positions. No
-parameter that all stretches share describes that. It is a random effect of each stretch, and part of the covariance of
-the positions (Pinheiro & Bates, Mixed-Effects Models in S and S-PLUS, 2000). Restricted maximum likelihood gives its
-sizes, if the likelihood pays their price.
+parameter that all stretches share describes that. It is a random effect of each stretch (Pinheiro & Bates,
+Mixed-Effects Models in S and S-PLUS, 2000). It therefore belongs to the covariance of the positions. Restricted maximum
+likelihood gives its sizes, if the likelihood pays their price.
 """
 
 from __future__ import annotations

@@ -417,9 +417,9 @@ class BallPairs:
     def common_mode_score(self, own: NoiseComponent) -> float:
         """The most significant score of shared noise over correlations and axes, in sigma under independence.
 
-        The score is the sum of u0' K u1, with K the kernel of shared noise. u is A times a ball's positions without
-        their cubic, and A is the inverse covariance. Under independence its mean is zero and its variance is the sum of
-        tr(K A K A) (a score test; Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
+        The score is the sum of u0' K u1, with K the kernel of shared noise. Here u is A times a ball's positions
+        without their cubic, and A is the inverse covariance. Under independence its mean is zero and its variance is
+        the sum of tr(K A K A) (a score test; Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
         """
         scores, variances = np.zeros((len(SHARED_NOISE_CORRELATIONS), 2)), np.zeros(len(SHARED_NOISE_CORRELATIONS))
         lags = own.autocovariances(self.longest)

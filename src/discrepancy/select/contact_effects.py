@@ -1,10 +1,9 @@
 """Effects of the impact that contacts show: regressions with a scatter of its own for each contact.
 
-The impact of a real contact is not the same each time: dirt, spin and springs change it. So each quantity is a sum of
-three parts: a law of the approach, a random effect of that contact, and the error of its estimate. The size of the
-random effects is fitted. Errors that several contacts share, such as the bias of a set, do not average out. They are
-part of the covariance. Each quantity has a few laws, the simplest first. A law with more numbers replaces the simplest
-only if
+The impact of a real contact is not the same each time: dirt, spin and springs change it. So each quantity is the sum of
+a law of the approach, a random effect of that contact, and the error of its estimate. The size of the random effects is
+fitted. Errors that several contacts share, such as the bias of a set, do not average out. They are part of the
+covariance. Each quantity has a few laws, the simplest first. A law with more numbers replaces the simplest only if
 
 - the likelihood gains `SearchPolicy.min_noise_gain` for each number, and more than `min_claim_sigma` in all, and
 - each contact, left out in turn, is predicted better, by more than one standard error over recordings. With few

@@ -1,7 +1,8 @@
 """Compare free laws with the library's models, to find a law that no effect of the library describes.
 
-A score test adds every free law, to first order, to the base model, to the best model of the library, and to each of
-its effects alone. The best laws are then fitted in full. A second library effect must beat the free laws.
+A score test adds every free law, to first order, to several models. They are the base model, the best model of the
+library, and each of its effects alone. The best laws are then fitted in full. A second library effect must beat the
+free laws.
 """
 
 from __future__ import annotations

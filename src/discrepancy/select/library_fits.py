@@ -46,8 +46,8 @@ class LibraryFits:
         self.trials_factors = tests.trials_factors  # of the shape parameters of each candidate, by its name
         # the sigma that a claim needs, set before anything is searched
         self.required_sigma = max(tests.claim(), current_policy().min_claim_sigma)
-        # effects that move the tracks only as the base fit's own parameters can: they do not count as rivals, even if
-        # they seem to be rivals beside another effect
+        # effects that move the tracks only as the base fit's own parameters can. They do not count as rivals, even if
+        # they seem to be rivals beside another effect.
         self.absorbed = frozenset(c.effect for c in self.ranking if c.absorbed)
 
     @property
@@ -100,8 +100,9 @@ class LibraryFits:
     def extend(self, key: Key, fit: ModelFit, scored: CandidateScore, slack: float = 30.0) -> None:
         """Fit and keep the model of `key`, which is the model of `fit` with the scored candidate added.
 
-        The fit is given up where it cannot come within `slack` in chi^2, or within SCORE_ERROR_CHI2 in cost, of the
-        best model with as many candidates. The cost of its freedom is that at the start of each descent.
+        The fit is compared with the best model of as many candidates. It ends early if it cannot come within `slack` of
+        that model in chi^2, or within SCORE_ERROR_CHI2 in cost. The cost of its freedom is that at the start of each
+        descent.
         """
         rivals = self.rivals(key)
         useful_chi2 = min((f.chi2 for f in rivals), default=math.inf) + slack

@@ -85,9 +85,9 @@ def merge_sub_exposures(
 ) -> tuple[SubExposures, Array, Array]:
     """Merge the sub-exposures of each frame into counts (F,) of them, by their order in time.
 
-    A ball then stands at its mean position, wherever its velocity jumped. Returns the merged ones with the positions
-    (T, N, 3), m, and variances (T, N, 2), px^2, of the balls' pixels (., N, 2) about them. A spot that is widened by
-    these variances keeps its first three moments.
+    A ball then stands at its mean position, wherever its velocity jumped. Returns the merged ones, their positions (T,
+    N, 3), m, and variances (T, N, 2), px^2: of the balls' pixels (., N, 2) about these. A spot that is widened by the
+    variances keeps its first three moments.
     """
     whole = np.bincount(moments.frames, moments.weights, len(counts))
     before = np.cumsum(moments.weights) - moments.weights / 2 - (np.cumsum(whole) - whole)[moments.frames]

@@ -18,8 +18,8 @@ from numpy.polynomial import chebyshev
 
 from synthcam_shared.arrays import Array
 
-# A right-hand side takes x (n,) and y (c, problems, n) and yields groups of components with their derivatives. y is
-# integrated between two groups, so later groups may use the new values of earlier ones, which saves iterations.
+# A right-hand side takes x (n,) and y (c, problems, n) and yields groups of components with their derivatives. Between
+# two groups y is integrated. Later groups can then use the new values of earlier ones, which saves iterations.
 Parts = Iterator[tuple[slice, Array]]
 Right = Callable[[Array, Array], Parts]
 Pieces = list[tuple[Array, Array]]  # the nodes x (n,) of each piece of a solution, and y (c, problems, n) there

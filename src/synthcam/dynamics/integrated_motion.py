@@ -25,8 +25,8 @@ Pieces = Sequence[tuple[Array, Array]]
 class IntegratedMotion:
     """Motion of m balls from the times `begins` (m,) for `durations` (m,), s, which may be negative.
 
-    pieces: times since `begins` (m, n), smooth images of n Chebyshev nodes, and y (c, m, n) there: x, y, qx, qy and,
-    where a ball slides, ux, uy, wz.
+    pieces: times since `begins` (m, n), smooth images of n Chebyshev nodes, and y (c, m, n) there. y holds x, y, qx, qy
+    and, where a ball slides, ux, uy, wz.
     """
 
     begins: Array

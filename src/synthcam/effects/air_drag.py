@@ -13,9 +13,9 @@ from synthcam.effect import Effect, parameter
 class AirDrag(Effect):
     """The drag of air slows a ball: a = share (3/8) (rho_air/rho) Cd v^2 / R.
 
-    Cd = (24/Re)(1 + 0.15 Re^0.687) with Re = 2 R v / nu, valid to Re = 800, for a sphere far from walls (Schiller &
-    Naumann, VDI-Zeitschrift 77 (1933) 318); share = 1. It acts in full on a sliding or flying ball, by 5/7 on a rolling
-    one. Air at 20 C: 1.204 kg/m^3, nu = 1.516e-5 m^2/s.
+    Far from walls share = 1. A sphere has Cd = (24/Re)(1 + 0.15 Re^0.687) with Re = 2 R v / nu, valid to Re = 800
+    (Schiller & Naumann, VDI-Zeitschrift 77 (1933) 318). The drag acts in full on a sliding or flying ball, by 5/7 on a
+    rolling one. Air at 20 C: 1.204 kg/m^3, nu = 1.516e-5 m^2/s.
     """
 
     share: float = parameter("1", typical=1.0, low=0, high=10, default=1.0)

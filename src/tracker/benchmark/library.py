@@ -56,9 +56,11 @@ class TrackerRun:
     def table(self) -> pd.DataFrame:
         """Scores of positions and tracks, a row for each part of the suite.
 
-        Columns: ratio (rmse over the Cramér-Rao bound), rmse_px and bound_px (px, of x and y), found (share of the
-        balls in view), false (detections of nothing), phase_bias_px, z (error over claimed error), jsc, mota, idf1,
-        hota, clips.
+        The columns are rmse_px, phase_bias_px, jsc, mota, idf1, hota, clips, and:
+
+        - ratio, bound_px: of rmse_px to the Cramér-Rao bound, and that bound, px, of x and y;
+        - found, false: share of the balls in view that were detected, and detections of nothing;
+        - z: error over claimed error.
         """
         figures = "ratio rmse_px bound_px found false phase_bias_px z jsc mota idf1 hota clips".split()
         rows = {name: {key: part[key] for key in figures} for name, part in self.entry["parts"].items()}

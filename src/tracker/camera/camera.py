@@ -316,8 +316,8 @@ class Camera:
         Parameters
         ----------
         given : Camera, dict, str, Path or object
-            The keys of camera.json, a path to it, or an object whose attribute ``camera_json`` holds the keys, such as
-            the clips of synthcam and their cameras.
+            The keys of camera.json, a path to it, or an object with the keys as its attribute ``camera_json``. Clips of
+            synthcam and their cameras are such objects.
 
         Returns
         -------

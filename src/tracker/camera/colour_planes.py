@@ -6,7 +6,8 @@ these shares. Their counts are uint8, whatever the depth of the film:
 - "red-green", "red-blue", "green-blue": 128 and 127 times the difference of two shares;
 - "colour": the distance from the colours of the picture without balls, 0 to 200. It saturates at a few standard
   deviations of the noise, so that a ball of two colours is one disc;
-- "#rrggbb": how near a pixel is to that colour, 200 on it and 0 as far from it as the usual colour of the film.
+- "#rrggbb": how near a pixel is to that colour. It is 200 on the colour, and 0 as far from it as the usual colour of
+  the film.
 """
 
 import re

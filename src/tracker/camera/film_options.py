@@ -150,8 +150,8 @@ class FilmOptions:
     """Options of reading a film.
 
     times: "auto" takes the spacing of frames from the film and the rate from the camera file, "file" both from the
-    film; by "even" frames are evenly spaced, whatever the film says. fields, of interlaced video: "separate" makes two
-    frames of each, "weave" leaves them, "auto" looks at the film.
+    film. With "even" the program spaces the frames evenly, whatever the film says.
+    fields: of interlaced video, "separate" makes two frames of each, "weave" leaves them, "auto" looks at the film.
     """
 
     times: str = "auto"

@@ -198,8 +198,8 @@ def measure_losses(
 
     Columns: energy, lost_in_contacts, lost_at_walls, lost_to_plate, lost_unresolved, each with NAME_std, m^2/s^2. From
     the last velocity before a contact to the first one after it, balls lose what the contact takes, and the rest to the
-    plate. This is unresolved if the loss of the contact is not known, if either path is too short for a velocity, or if
-    the ball was out of view.
+    plate. This is unresolved if the loss of the contact is not known. So it is if a path is too short for a velocity,
+    or the ball was out of view.
 
     The errors also hold what is not resolved: all of it at contacts of that kind, and half of it for the plate. If
     contacts of one ball follow one another within two frames, as many may be hidden, and their energy is an error too.

@@ -1,9 +1,12 @@
 """Pair correlation of balls in a rectangle, with the exact correction for its edges.
 
-Let independent points fill a rectangle a x b evenly. Up to the shorter side, their pair distances r have the density 2
-pi r (a b - 2 (a + b) r / pi + r^2 / pi) / (a b)^2. This is the set covariance of a rectangle, averaged over directions
-(Torquato, Random Heterogeneous Materials, 2002). The pair correlation is the ratio of the observed number of pairs to
-this.
+Let independent points fill a rectangle a x b evenly. Up to the shorter side, their pair distances r have a known
+density:
+
+    2 pi r (a b - 2 (a + b) r / pi + r^2 / pi) / (a b)^2
+
+This is the set covariance of a rectangle, averaged over directions (Torquato, Random Heterogeneous Materials, 2002).
+The pair correlation is the ratio of the observed number of pairs to this.
 """
 
 from __future__ import annotations

@@ -29,8 +29,8 @@ def fit_all_jointly(estimates: pd.DataFrame) -> dict[str, Any]:
     It leaves out misfits, and tied fits that the local estimate contradicts. A clip whose covariance is not positive
     definite is left out of the sums that need it.
 
-    - chi2: r, mu_k and C that minimise the paper's chi^2 of v1f, v2f, tau1 and tau2 of the free fits, given v0 and any
-      b. Errors follow from its curvature, times sqrt(chi2/dof) where that exceeds one.
+    - chi2: r, mu_k and C that minimise the paper's chi^2, given v0 and any b. It is that of v1f, v2f, tau1 and tau2 of
+      the free fits. Errors follow from its curvature, times sqrt(chi2/dof) where that exceeds one.
     - scatter: the weighted mean of the tied fits, and the standard deviation between clips beyond their own errors.
     - rolling: drag and decel together, because one clip determines their sum far better than either. Clips without a
       collision count here too.

@@ -31,8 +31,8 @@ class BallTrack:
     exposure: float  # s
     fixed: Array = field(default_factory=lambda: np.empty(0))  # the part of `cov` that a resting ball always has
     width: float = 0.0  # of a glint, m
-    # For balls that lie partly in their own shadow, and for video encoded with loss: a shift in `fixed` that lasts as a
-    # ball moves on. Its rms along either axis, m, and the way over which it lasts, m.
+    # a shift in `fixed` that lasts as a ball moves on: its rms along either axis, and the way over which it lasts, m.
+    # It occurs for balls that lie partly in their own shadow, and in video encoded with loss.
     drift: tuple[float, float] = (0.0, 0.0)
     warp: tuple[float, float] = (0.0, 0.0)  # the same of the camera's warp, whose size no scatter of the tracks shows
     has_errors: bool = True  # whether the table of tracks claims errors

@@ -149,8 +149,9 @@ class PositionSums:
     def statistics(self) -> dict[str, float]:
         """Compute the localisation scores of score.json.
 
-        rmse_px and bound_px are those of x and y. phase_bias_px is the first harmonic of the error in the sub-pixel
-        phase of moving balls, for the worse axis. It is peak to peak and corrected for noise.
+        rmse_px, bound_px: of x and y.
+        phase_bias_px: the first harmonic of the error in the sub-pixel phase of moving balls, for the worse axis. It is
+        peak to peak and corrected for noise.
         """
         rmse, bound = (float(np.sqrt(x / (2 * self.n))) if self.n else np.nan for x in (self.squares, self.bound))
         return {

@@ -48,8 +48,8 @@ class CombinedSet:
     Attributes
     ----------
     table : DataFrame
-        All rows of estimates.parquet, with `result`, the name of each result, and `fit`, which of its fits enters:
-        tied, free, local, or "" where none does.
+        All rows of estimates.parquet, with two more columns. `result` is the name of each result. `fit` says which of
+        its fits enters: tied, free, local, or "" where none does.
     quantities : dict
         A `CombinedQuantity` for each quantity that has a value.
     chi2 : dict

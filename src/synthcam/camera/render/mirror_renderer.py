@@ -290,7 +290,7 @@ class MirrorRenderer(Renderer):
 
         In most exposures of more than two balls some ball hits another. There are then no fewer ones. The numbers (F,)
         say to how many those of each frame are merged, for the primary glints and for all else. A ball that is drawn
-        once for a travel of u sigma lacks its blur: the steepest edge, of contrast c, changes by .01 c u^2.
+        once for a travel of u sigma lacks its blur. This changes the steepest edge, of contrast c, by .01 c u^2.
         """
         size = np.array(self.camera.size)
         bounds, weights, frames, moves = self._split_exposures(centres, spans, cuts, -size, 2 * size)

@@ -30,7 +30,7 @@ class LightSource:
 
 @dataclass(frozen=True)
 class ReflectionTable:
-    """Values (n, m, c) at the middles of n cells of a coordinate from 0 to 1 and of m cells of an angle about z."""
+    """Values (n, m, c) in n cells of a coordinate from 0 to 1 and m cells of an angle about z, at their middles."""
 
     values: Array
 

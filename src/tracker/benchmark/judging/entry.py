@@ -63,8 +63,8 @@ def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart, min
     """Score each quantity of the tied and of the free fit, for an entry.
 
     Returns `clips`, `measured` (clips with a collision that was measured), and by quantity the figures of score.json
-    with `published`: the mean error over all collisions, each weighted by the error bar that it claims, and
-    `published_std`, the error bar of that mean; both NaN for fewer than `min_collisions` collisions.
+    and two more. `published` is the mean error over all collisions, each weighted by the error bar that it claims.
+    `published_std` is the error bar of that mean. Both are NaN for fewer than `min_collisions` collisions.
     """
     clips = tracked.sample.of(part)
     scalars = suite.scalars(part.truth)

@@ -17,9 +17,13 @@ def fit_outline_circle(
 ) -> Array | None:
     """Fit a circle to the outline of a hidden disc, which is where rays from the middle cross half the contrast.
 
-    `frame` and `level` (h, w) are a frame and the background, `at` the approximate centre, `others` the positions of
-    balls that touch this one, px, and `low` the least contrast, counts. The result is the centre (2,), px; None where
-    less than .55 of the outline is visible, or .3 where other balls touch.
+    frame, level (h, w): a frame and the background.
+    at: the approximate centre, px.
+    others: the positions of balls that touch this one, px.
+    low: the least contrast, counts.
+
+    The result is the centre (2,), px; None where less than .55 of the outline is visible, or .3 where other balls
+    touch.
     """
     rays, step = 72, 0.25  # number of rays; distance of the points along a ray, px
     h, w = frame.shape

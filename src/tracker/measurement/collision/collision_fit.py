@@ -192,8 +192,7 @@ class CollisionFits:
 
 def fit_collision(contact: Contact) -> CollisionFits | str:
     """Fit one collision by the tied and the free motion, or give the reason why there is no fit."""
-    # factor by which a striker that does not roll must lower chi^2 per degree of freedom to be preferred, if the data
-    # do not accept it either
+    # a striker that does not roll must lower chi^2 per degree of freedom by this factor, if the data accept neither
     better_striker = 0.25
     guesses = guess_parameters(contact)
     if not guesses:

@@ -292,7 +292,7 @@ def tied_to_free(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.ine
       part in the plane is the relative velocity along t. Its vertical part is -S, where S is the sum of both balls' R w
       x z along n. A rolling ball contributes its velocity.
     - The vertical impulse spins the balls, R dw = -C S t, and lifts nothing.
-    - The lowest point of a ball then slips at u = dv + C S n plus its slip before, dv its change of velocity.
+    - The lowest point of a ball then slips at u = dv + C S n plus its slip before. dv is its change of velocity.
     - Slip ends after tau = |u| / (3.5 mu g) at v_f = v - 2u/7. The reason is that a force there conserves (5v + 2R w x
       z)/7.
 

@@ -43,10 +43,10 @@ _FRICTION = ("mu_k", "C", "w1n", "w1t", "w2n", "w2t", "tau1", "tau2")
 class LocalEstimate:
     """Values in the order of LOCAL_NAMES, with their covariance.
 
-    response: (n, 9), derivatives of each value by the velocities of SIDES along n and t, and by the logarithm of the
-    mass ratio, ball 1 over ball 2. chi2, dof, adequate: of the positions by the errors before the residuals widen them,
-    and the p-value. Without claimed errors these are those of the scatter from frame to frame. shared: by key of the
-    camera file that has an error, its value, and the effect (n,) of one standard error.
+    response: (n, 9), derivatives of each value. They are by the velocities of SIDES along n and t, and by the logarithm
+    of the mass ratio, ball 1 over ball 2. chi2, dof, adequate: of the positions by the errors before the residuals
+    widen them, and the p-value. Without claimed errors these are those of the scatter from frame to frame. shared: by
+    key of the camera file that has an error, its value, and the effect (n,) of one standard error.
     """
 
     value: Array

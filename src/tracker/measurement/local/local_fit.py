@@ -1,7 +1,7 @@
 """The local fit: stretches of free motion that meet at a contact, without any law of the impact.
 
-It starts from fits of single stretches, chooses the motions that describe the positions, and averages over durations of
-slides that the positions do not show. Fits are `FitInSteps`: they yield the descents that they need.
+It starts from fits of single stretches and chooses the motions that describe the positions. It averages over durations
+of slides that the positions do not show. Fits are `FitInSteps`: they yield the descents that they need.
 """
 
 from __future__ import annotations
@@ -376,9 +376,9 @@ def _find_share_of_slides(solution: LocalSolution, k: int, last: float) -> float
 def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_on: bool) -> list[SlideDuration]:
     """List durations of one slide: two below the first position, cells, and one above the stretch.
 
-    The cells divide the durations with which the stretch alone fits hardly worse than with the best; over more of it,
-    the velocity could change by many errors from one cell to the next. Before a contact they are those of the roll,
-    whose prior is uniform over the stretch, because a hit comes at any time after the slide. may_slide_on: the slide
+    The cells divide only the durations with which the stretch alone fits hardly worse than with the best. Wider cells
+    could change the velocity by many errors from one to the next. Before a contact the durations are those of the roll.
+    Their prior is uniform over the stretch, because a hit comes at any time after the slide. may_slide_on: the slide
     may also last up to the contact, which is the first cell, with the probability of `_find_share_of_slides`.
     """
     priors, stretch = solution.problem.priors, solution.problem.stretches[k]
