@@ -45,9 +45,11 @@ def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adop
 
     The effect has the proposed formula if that suffices and the law has one axis; otherwise the curve or map.
 
-    report: a folder that ``discrepancy find`` wrote. name: of small letters, digits and "_", and not the name of
-    another effect or law. folder: for NAME.py and NAME.yaml, made if it does not exist. Raises InputError if the report
-    has no free law that an effect can express, the name is taken, or the files exist.
+    report: a folder that ``discrepancy find`` wrote.
+    name: of small letters, digits and "_", and not the name of another effect or law.
+    folder: for NAME.py and NAME.yaml, made if it does not exist.
+
+    Raises InputError if the report has no free law that an effect can express, the name is taken, or the files exist.
     """
     report, folder = Path(report), Path(folder)
     check_name(name, f"--name {name}")
@@ -187,9 +189,10 @@ def render_formula_effect(
 ) -> str:
     """Render the text of an effect file whose law is a formula.
 
-    law: the name of the free law in `synthcam.tabulated_law.table_names`. strengths: the terms that are added, each
-    times its strength, relative to a law that is one base parameter. shape: the numbers of the shape. source: the
-    origin of the law, in sentences.
+    law: the name of the free law in `synthcam.tabulated_law.table_names`.
+    strengths: the terms that are added, each times its strength, relative to a law that is one base parameter.
+    shape: the numbers of the shape.
+    source: the origin of the law, in sentences.
     """
     kind, ball = kind_of(law)
     relative, x, old = len(kind.owners) == 1, _argument_code(kind), ARGUMENT_NAMES[kind.law]

@@ -34,8 +34,9 @@ Progress = Callable[[int, int], None]  # takes the jobs done and the jobs in all
 class JobForecast:
     """A forecast from the first jobs for the others.
 
-    numbers: the jobs done so far, by this process. seconds: wall time of one job on one worker, s; the first job counts
-    for nothing, because it loads libraries. jobs_left, workers: jobs still to do, and the processes that will do them.
+    numbers: the jobs done so far, by this process.
+    seconds: wall time of one job on one worker, s; the first job counts for nothing, because it loads libraries.
+    jobs_left, workers: jobs still to do, and the processes that will do them.
     """
 
     numbers: tuple[int, ...]
@@ -56,10 +57,13 @@ def run_jobs(
     """Do the work for each number, and yield the answers in the order in which the jobs end.
 
     work: takes a number. It must pickle where there are several workers, and what it raises is raised here.
-    numbers: rising. workers: processes, of which this one is one; 0: one for each core that this process may use, if
-    the trial jobs show that this is quicker, else this one alone. scheduler: address of a Dask scheduler, whose workers
-    do all jobs instead. trials: jobs, spread evenly over the numbers, that this process does first where the number of
-    workers is open or `announce` is given. announce: takes a forecast after them if there is more to do.
+    numbers: rising.
+    workers: processes, of which this one is one; 0: one for each core that this process may use, if the trial jobs show
+    that this is quicker, else this one alone.
+    scheduler: address of a Dask scheduler, whose workers do all jobs instead.
+    trials: jobs, spread evenly over the numbers, that this process does first where the number of workers is open or
+    `announce` is given.
+    announce: takes a forecast after them if there is more to do.
 
     Raises InputError if three workers in a row are lost, or the scheduler cannot be used.
     """

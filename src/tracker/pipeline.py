@@ -68,11 +68,16 @@ def run(
 ) -> ClipOutcome:
     """Run the whole chain on every clip of a source into RESULTS; continue what an interrupted run left.
 
-    source: a dataset, clip, stack, video or folder of pictures. output: RESULTS. detector: if None, the first clip
-    decides, as it does on the channel of a source that has none. A clip in which its detector fails may take another.
-    workers: processes, or 0 for one a core, if so many are quicker. progress: takes clips done and clips in all, or
-    frames of a single clip. scheduler: address of a Dask scheduler, whose workers see the same folders. edits:
-    corrections of tracks by hand. Raises InputError.
+    source: a dataset, clip, stack, video or folder of pictures.
+    output: RESULTS.
+    detector: if None, the first clip decides, as it does on the channel of a source that has none. A clip in which its
+    detector fails may take another.
+    workers: processes, or 0 for one a core, if so many are quicker.
+    progress: takes clips done and clips in all, or frames of a single clip.
+    scheduler: address of a Dask scheduler, whose workers see the same folders.
+    edits: corrections of tracks by hand.
+
+    Raises InputError.
     """
     check_utf8(output)
     chosen, edited = TrackerSettings.of(settings), TrackEdits.of(edits)
@@ -138,9 +143,11 @@ def measure_tables(
 ) -> ClipOutcome:
     """Measure tracks that any program made into RESULTS, as `run` does its own. Raises InputError.
 
-    path: CSV or Parquet with clip, frame, particle, x, y, or a file of another program. output: RESULTS. camera: the
-    camera file of the tracks. edits: corrections by hand of the tracks as they are written without edits. progress:
-    takes clips done and clips in all, or contacts of a single clip of a crowd.
+    path: CSV or Parquet with clip, frame, particle, x, y, or a file of another program.
+    output: RESULTS.
+    camera: the camera file of the tracks.
+    edits: corrections by hand of the tracks as they are written without edits.
+    progress: takes clips done and clips in all, or contacts of a single clip of a crowd.
     """
     check_utf8(output)
     chosen, edited = TrackerSettings.of(settings), TrackEdits.of(edits)

@@ -206,8 +206,9 @@ def _iterate_estimates(
 class Slip:
     """The slip of a contact just before it, and the impulse that followed, both with the sign of the velocity across.
 
-    across: m/s, of the surfaces along the tangent in the plane, and its standard error. size: with the vertical part,
-    m/s. friction: tangential over normal impulse, and its standard error.
+    across: m/s, of the surfaces along the tangent in the plane, and its standard error.
+    size: with the vertical part, m/s.
+    friction: tangential over normal impulse, and its standard error.
     """
 
     across: float

@@ -144,8 +144,9 @@ def move_to_even_times(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: 
     A position is left out if its exposure, or that of the even time, contains the contact. So are those of a piece with
     fewer than 4 positions, which do not determine a speed.
 
-    tracks: with their own times, which begin at frame 0. balls: rows (n,) of the target and of the striker; other rows
-    are left out. t_c and ends (2,): the time of contact and the ends of both slides, s.
+    tracks: with their own times, which begin at frame 0.
+    balls: rows (n,) of the target and of the striker; other rows are left out.
+    t_c and ends (2,): the time of contact and the ends of both slides, s.
     """
     even, spans = tracks.frame / camera.fps, _frame_offsets(tracks, camera)
     first, last = even + np.minimum(spans, 0) / camera.fps, even + np.maximum(spans, 0) / camera.fps + camera.exposure

@@ -68,9 +68,9 @@ def fit_scatter(
 ) -> StretchScatter:
     """Fit the scatter from stretch to stretch to the residuals of a fit of these clips that was made with `noise`.
 
-    max_clips: evenly spread, they determine the sizes well enough. max_to_noise: the largest displacement; what exceeds
-    it is motion that the model lacks. max_positions: of stretches that are compared with a map; memory grows as the
-    square.
+    max_clips: evenly spread, they determine the sizes well enough.
+    max_to_noise: the largest displacement; what exceeds it is motion that the model lacks.
+    max_positions: of stretches that are compared with a map; memory grows as the square.
 
     All are zero if together they gain less in -2 log likelihood than `SearchPolicy.min_noise_gain`, and 2 for each size
     more. Else each keeps its most likely value: without a real scatter of one size, claims would be too significant.

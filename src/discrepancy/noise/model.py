@@ -348,9 +348,12 @@ def select_order(
 ) -> T:
     """Build the noise model of the order with the least cost + penalty per number (Schwarz's criterion).
 
-    The search ends when two orders in a row do not improve it. shapes: orders to try, simple ones first. build: makes a
-    model from an order and numbers; cost: its -2 log likelihood. common (k,): start values of numbers that every order
-    has, before its own.
+    The search ends when two orders in a row do not improve it.
+
+    shapes: orders to try, simple ones first.
+    build: makes a model from an order and numbers.
+    cost: its -2 log likelihood.
+    common (k,): start values of numbers that every order has, before its own.
     """
     head = np.zeros(0) if common is None else common
     best, winner, last, tail, lost = np.inf, build(shapes[0], head), shapes[0], np.zeros(0), 0

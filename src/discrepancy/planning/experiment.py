@@ -199,8 +199,11 @@ class SceneExperiment:
 def design_experiment(scene: Scene, count: int, noise_px: float | None = None, seed: int = 0) -> SceneExperiment:
     """Draw the collisions of a scene and predict what its camera would see of them.
 
-    count: collisions to record. noise_px: error of a position, each axis; default: the limit of the scene's camera and
-    lamp. seed: of all random numbers. Raises InputError if no search is possible with such clips.
+    count: collisions to record.
+    noise_px: error of a position, each axis; default: the limit of the scene's camera and lamp.
+    seed: of all random numbers.
+
+    Raises InputError if no search is possible with such clips.
     """
     least = current_policy().min_collisions
     if count < least:

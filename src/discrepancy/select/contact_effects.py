@@ -70,10 +70,12 @@ class ContactNumber:
 class ContactClaim:
     """The law of one quantity that the contacts support.
 
-    causes: effects that make this law or one that fits as well; empty for the simplest law. scatter: standard deviation
-    from contact to contact, beyond the errors. sigma: by the likelihood, over the simplest law. left_out_sigma: of the
-    gain on contacts that are left out. rivals: laws that are not worse by `SearchPolicy.rival_excluded_chi2`. odd: how
-    many contacts of a crowd count with a wide error.
+    causes: effects that make this law or one that fits as well; empty for the simplest law.
+    scatter: standard deviation from contact to contact, beyond the errors.
+    sigma: by the likelihood, over the simplest law.
+    left_out_sigma: of the gain on contacts that are left out.
+    rivals: laws that are not worse by `SearchPolicy.rival_excluded_chi2`.
+    odd: how many contacts of a crowd count with a wide error.
     """
 
     quantity: str

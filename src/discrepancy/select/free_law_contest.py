@@ -190,8 +190,9 @@ def find_replacements(
 
     Returns the effects that to first order explain nearly as much, fitted in full, the best first.
 
-    less: the free law without the effect `named`. absorbed: effects that do not count as rivals. base: the fit from
-    which the cost of effects is counted.
+    less: the free law without the effect `named`.
+    absorbed: effects that do not count as rivals.
+    base: the fit from which the cost of effects is counted.
     """
     tests = ScoreTests.of(less.evidence, less.joint_fit, about=less.model_without_law)
     ranking = {c.effect: c for c in tests.ranking()}

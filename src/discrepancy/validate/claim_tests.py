@@ -83,10 +83,11 @@ class HeldOutTest:
         the uncertainty of the claim changes it by |d| over its sigma. If the clips scatter about the claim more than
         noise does, sigma decreases by the same factor. Clips that neither model predicts count less (`weigh_clips`).
 
-        without, with_: whitened residuals (2n,) of each clip, by the model without the claim and with it. known: sigma
-        of the claim in the fitted clips; inf if these clips are among the fitted ones. there: the fit with the claim in
-        these clips, for its derivatives. covariance: that of its shared parameters from the fitted clips; held-out
-        clips may depend on directions that the fitted clips do not determine.
+        without, with_: whitened residuals (2n,) of each clip, by the model without the claim and with it.
+        known: sigma of the claim in the fitted clips; inf if these clips are among the fitted ones.
+        there: the fit with the claim in these clips, for its derivatives.
+        covariance: that of its shared parameters from the fitted clips; held-out clips may depend on directions that
+        the fitted clips do not determine.
         """
         weights = np.sqrt(weigh_clips(without, with_))
         points = float(sum(w**2 * len(r) for w, r in zip(weights, without, strict=True)))
@@ -537,9 +538,10 @@ def compare_predictions(
 ) -> Predictions:
     """Test a claim on held-out clips and on all clips. A model without motion for held-out clips fails both.
 
-    own: sigma of the claim. fits: those of the held-out clips, without and with the claim. residuals: leave-one-out
-    residuals of the fitted clips, without and with the claim. fit: that of the fitted clips with the claim, for its
-    covariance.
+    own: sigma of the claim.
+    fits: those of the held-out clips, without and with the claim.
+    residuals: leave-one-out residuals of the fitted clips, without and with the claim.
+    fit: that of the fitted clips with the claim, for its covariance.
     """
     without, with_ = fits
     if with_ is None:

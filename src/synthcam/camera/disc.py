@@ -65,7 +65,9 @@ class Disc:
     def find_visible_share(self, points: Array, ways: Array, wide: Array, centre: Array, soft: float = 0.0) -> Array:
         """Find the share (n,) of a lamp that the disc leaves visible from points, as behind a straight edge.
 
-        ways: unit directions (n, 3) to the lamp. wide: its angular radius (n,). soft: rms blur of the edge.
+        ways: unit directions (n, 3) to the lamp.
+        wide: its angular radius (n,).
+        soft: rms blur of the edge.
         """
         miss, far = self.find_miss(points, ways, centre)
         penumbra = np.maximum(np.hypot(wide * far, 2 * soft), 1e-9)

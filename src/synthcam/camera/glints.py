@@ -41,10 +41,12 @@ def find_glints(
     The image of a cell is the cell under the exact derivative of the reflected path. Its flux and its second moments
     are therefore exact to first order in its size. The path of its middle decides whether it is hidden.
 
-    centres: (T, N, 3), m, at each moment. radii: (N,), m. light: (T, N), brightness of the lamp relative to its mean;
-    0 for balls whose images are not wanted. cell: m, half-width of the cells into which a wider lamp is cut, each with
-    its own image. faintest: flux over that of the primary, below which an image is left out. bounces: numbers of
-    reflections of the images.
+    centres: (T, N, 3), m, at each moment.
+    radii: (N,), m.
+    light: (T, N), brightness of the lamp relative to its mean; 0 for balls whose images are not wanted.
+    cell: m, half-width of the cells into which a wider lamp is cut, each with its own image.
+    faintest: flux over that of the primary, below which an image is left out.
+    bounces: numbers of reflections of the images.
     """
     eye, cells, axes, chains = camera.centre, lamp.cells(cell), lamp.axes, (faintest, bounces[-1])
     widest = radii.max() * reflections.find_reach_of_reflections(surface.head_on, *chains)

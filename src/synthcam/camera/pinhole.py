@@ -53,8 +53,10 @@ class PinholeCamera:
     ) -> "PinholeCamera":
         """Make a camera at a distance of `height` m from the world's origin, at which it looks.
 
-        size: width and height, px. scale: m/px at z = ball_radius. tilt: angles a, b, rad. The camera is rotated about
-        the origin, by a about the world's x axis, then by b about y. Its centre is Ry(b) Rx(a) (0, 0, height).
+        size: width and height, px.
+        scale: m/px at z = ball_radius.
+        tilt: angles a, b, rad. The camera is rotated about the origin, by a about the world's x axis, then by b about
+        y. Its centre is Ry(b) Rx(a) (0, 0, height).
         ball_radius: m. fields: fps, exposure, psf_sigma_px and other fields that are numbers.
 
         Raises ValueError if height does not exceed ball_radius.

@@ -134,9 +134,12 @@ def find_blocked_paths(
 ) -> Flags:
     """Find the paths of light (M,) that a third ball blocks.
 
-    balls: (M, k) of each path. centres: (T, N, 3). radii: (N,). moment: (M,) of each path. near: within the distance
-    that `find_blocking_distance` gives. Only balls near a ball of the path can block it: its legs join such balls, or
-    leave the layer in which balls are.
+    balls: (M, k) of each path.
+    centres: (T, N, 3).
+    radii: (N,).
+    moment: (M,) of each path.
+    near: within the distance that `find_blocking_distance` gives. Only balls near a ball of the path can block it: its
+    legs join such balls, or leave the layer in which balls are.
     """
     ends, order, ceiling = _join(lamp, paths.points, eye), balls.shape[1], (centres[..., 2] + radii).max()
     blocked = np.zeros(len(balls), bool)
@@ -245,11 +248,14 @@ def iterate_chains(
 ) -> Iterator[tuple[Index, Index]]:
     """Iterate over the lengths k of chains of mirror spheres to follow: balls (M, k) and moments (M,), in order.
 
-    radii: (N,). near: at so many moments, within the reach of `find_reach_of_reflections`. mirror: reflectance of the
-    balls. A chain is left out if an upper limit of its brightness is below `faintest` of the primary. For this limit
-    the legs are taken from the longest to the shortest. Each dims the glint as one more bounce does between two balls
-    at that distance. Chains of more than 4 bounces are followed only between two balls: in a heap, all others would be
-    too many.
+    radii: (N,).
+    near: at so many moments, within the reach of `find_reach_of_reflections`.
+    mirror: reflectance of the balls.
+
+    A chain is left out if an upper limit of its brightness is below `faintest` of the primary. For this limit the legs
+    are taken from the longest to the shortest. Each dims the glint as one more bounce does between two balls at that
+    distance. Chains of more than 4 bounces are followed only between two balls: in a heap, all others would be too
+    many.
     """
     balls = len(radii)
     apart, bright = tabulate_pair_brightness(mirror, faintest)

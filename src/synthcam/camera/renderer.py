@@ -86,8 +86,9 @@ class Renderer:
     ) -> Pictures:
         """One frame of a rolling shutter.
 
-        span: exposure (2,) of the top row, s. cuts: times at which velocities jump. expose: exposures (F, 2) -> the
-        pictures of a global shutter.
+        span: exposure (2,) of the top row, s.
+        cuts: times at which velocities jump.
+        expose: exposures (F, 2) -> the pictures of a global shutter.
         """
         rows, delay = np.arange(self.camera.size[1]), self.camera.line_time
         plates = list(self.plates)

@@ -28,9 +28,12 @@ def _module(name: str) -> Any:
 def export(dataset: Path, kind: str, output: Path, progress: Progress, truth: Path | None = None) -> int:
     """Write a dataset in another program's format, in a temporary folder that then becomes `output`.
 
-    kind: name of the format, a file of the folder `exports`. Settings follow a colon, as in h264:crf=28. output: a new
-    or empty folder. progress: takes the clips done and the clips in all. truth: the folder with the truth if it was
-    withheld. Returns the number of clips. Raises InputError.
+    kind: name of the format, a file of the folder `exports`. Settings follow a colon, as in h264:crf=28.
+    output: a new or empty folder.
+    progress: takes the clips done and the clips in all.
+    truth: the folder with the truth if it was withheld.
+
+    Returns the number of clips. Raises InputError.
     """
     kind, _, wishes = kind.partition(":")
     if kind not in list_export_formats():

@@ -34,7 +34,9 @@ def write_clip(
 ) -> None:
     """Write the folder of one clip of a dataset.
 
-    frames: None: no video. secret: another folder, for the truth. compression: "none" or "zstd"; both are lossless.
+    frames: None: no video.
+    secret: another folder, for the truth.
+    compression: "none" or "zstd"; both are lossless.
     """
     folder.mkdir(parents=True, exist_ok=True)
     secret = secret or folder / "truth"

@@ -105,9 +105,10 @@ def generate_dataset(
     The dataset is made in a folder beside `output`, `output`.partial, and moved into place when it is complete. A run
     that was killed continues where it stopped.
 
-    workers: processes; 0: one for each core, where so many are quicker. progress: takes the clips done and the clips in
-    all, after each clip. scheduler: address of a Dask scheduler, whose workers see the same folders. announce: takes an
-    estimate of time and disk, as text, after the first clips.
+    workers: processes; 0: one for each core, where so many are quicker.
+    progress: takes the clips done and the clips in all, after each clip.
+    scheduler: address of a Dask scheduler, whose workers see the same folders.
+    announce: takes an estimate of time and disk, as text, after the first clips.
 
     Raises InputError if a folder holds something else or the disk is full, NoGL if OpenGL cannot draw.
     """

@@ -33,8 +33,10 @@ BALL_COLUMNS = ("sample", "id", "centre", "box", "visible")  # of a Zarr store
 class ShardPlan:
     """The content of the shards of a stream.
 
-    clips: numbered from 0; None: without end. clips_per_shard: the last shard may have fewer. every: every n-th frame
-    of a clip only. kind: a key of `FORMATS`.
+    clips: numbered from 0; None: without end.
+    clips_per_shard: the last shard may have fewer.
+    every: every n-th frame of a clip only.
+    kind: a key of `FORMATS`.
     """
 
     scene: Scene

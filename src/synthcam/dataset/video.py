@@ -30,7 +30,9 @@ VIDEO_FILES = {"frames.mp4", "frames.avi", "frames.mov"}
 class VideoWriter:
     """A video file that takes frames (h, w) or, in colour, (h, w, 3), one at a time.
 
-    how: codec, gamma, chroma and crf or q, as in a scene's `video`. fps: frame rate, 1/s. size: width and height, px.
+    how: codec, gamma, chroma and crf or q, as in a scene's `video`.
+    fps: frame rate, 1/s.
+    size: width and height, px.
     bits: of the frames.
     """
 

@@ -141,8 +141,9 @@ def solve_collisions(
 
     launches: (n, 6) or (n, 9), columns LAUNCH_COLUMNS and, of strikers that do not roll, `SPIN_COLUMNS` of `launch`.
     The x and y of a free striker, |b| > 1, are its own position; the target, which nobody sees, then rests there.
-    start, end: s. striker_is_a: whether the striker is ball a of the experimenter, (n,) or one for all. ends: (n,) s,
-    until when each free striker is followed; by default all are followed until `end`.
+    start, end: s.
+    striker_is_a: whether the striker is ball a of the experimenter, (n,) or one for all.
+    ends: (n,) s, until when each free striker is followed; by default all are followed until `end`.
     """
     is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), len(launches))
     one, two = model.bodies_where(~is_a), model.bodies_where(is_a)

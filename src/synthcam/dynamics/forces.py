@@ -69,8 +69,10 @@ class Forces:
     def act_on_sliding(self, slip: Array, hat: Array, spin: Any, place: Array, v: Array, other: Any) -> tuple[Any, ...]:
         """Evaluate the forces on m sliding balls at n instants each.
 
-        slip, hat: (m, n) slip speeds, m/s, and their directions (2, m, n). spin: about the vertical, rad/s. place, v:
-        (2, m, n), m and m/s. other: position of the other ball relative to this one, m.
+        slip, hat: (m, n) slip speeds, m/s, and their directions (2, m, n).
+        spin: about the vertical, rad/s.
+        place, v: (2, m, n), m and m/s.
+        other: position of the other ball relative to this one, m.
 
         Returns
 

@@ -19,8 +19,12 @@ NO_SPIN = (0.0, 0.0, 0.0)  # a striker that rolls
 class LaterLaunch:
     """A launch of one body in the course of a run, wherever it is then.
 
-    body: its number. time: s. velocity: the last six numbers of its state just after. A hand may push it from then
-    until the time `until` with a constant acceleration (x, y), m/s^2, or until it hits something.
+    body: its number.
+    time: s.
+    velocity: the last six numbers of its state just after.
+
+    A hand may push it from then until the time `until` with a constant acceleration (x, y), m/s^2, or until it hits
+    something.
     """
 
     body: int
@@ -87,9 +91,11 @@ def launch_touching_pairs(
 ) -> tuple[Array, Array]:
     """Launch balls at their contacts: the states (k, 9) of targets at rest, and of strikers that touch them.
 
-    one, two: of targets and strikers. v0, b, heading: (k,), the strikers' speed, m/s, impact parameter over the sum of
-    radii, and heading, rad. contact: (k, 2), the position between the balls, m. spin: (k, 3) of the strikers, as in
-    `Launch.pair`; without it they roll.
+    one, two: of targets and strikers.
+    v0, b, heading: (k,), the strikers' speed, m/s, impact parameter over the sum of radii, and heading, rad.
+    contact: (k, 2), the position between the balls, m.
+    spin: (k, 3) of the strikers, as in `Launch.pair`; without it they roll.
+
     Raises ValueError if balls of these sizes pass each other without touching.
     """
     d = np.stack([np.cos(heading), np.sin(heading)], axis=-1)

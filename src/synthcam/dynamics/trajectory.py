@@ -322,8 +322,12 @@ class Trajectory:
 def average_over_spans(at: ArrayFunction, breaks: Array, spans: Array, of: ArrayFunction) -> Array:
     """Average a function of a trajectory's states over time spans by Gauss quadrature, split at each kink.
 
-    at: maps times (m,) to states (balls, m, 9). breaks: (e,), times of the kinks, rising. spans: (n, 2), begins and
-    ends, s. of: maps states (balls, m, 9) to (balls, m, k). Returns (balls, n, k).
+    at: maps times (m,) to states (balls, m, 9).
+    breaks: (e,), times of the kinks, rising.
+    spans: (n, 2), begins and ends, s.
+    of: maps states (balls, m, 9) to (balls, m, k).
+
+    Returns (balls, n, k).
     """
     after = 2 * spans[:, 1] - spans[:, 0]
     near = np.searchsorted(breaks, spans[:, 0], "right") < np.searchsorted(breaks, after, "left")

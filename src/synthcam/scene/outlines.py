@@ -20,8 +20,11 @@ def find_boxes(camera: PinholeCamera, centres: Array, radii: Array, heights: Arr
     """Find the boxes (N, 4) round the outlines, px: left, top, right and bottom, cut at the rim of the picture.
 
     The farthest points of an outline follow from the map's slope at its middle. That is right to second order in the
-    size of the ball. A box out of view has no area. centres: (N, 3), m. radii: (N,), m. heights: of discs
-    (N,), m, and 0 of balls; None of balls alone.
+    size of the ball. A box out of view has no area.
+
+    centres: (N, 3), m.
+    radii: (N,), m.
+    heights: of discs (N,), m, and 0 of balls; None of balls alone.
     """
     towards = camera.centre - centres
     distance = np.linalg.norm(towards, axis=1)

@@ -95,8 +95,10 @@ def check_output(path: Path) -> None:
 def keys_from_options(diameter: float, fps: float, exposure: float | None = None, gamma: float = 1.0) -> dict[str, Any]:
     """Make the keys of camera.json that the user of a calibration gives as options. Raises InputError.
 
-    diameter: of the balls, m. fps: frames a second. exposure: of a frame, s, which separates motion blur from the
-    glint's width. gamma: counts are light to the power of 1/gamma.
+    diameter: of the balls, m.
+    fps: frames a second.
+    exposure: of a frame, s, which separates motion blur from the glint's width.
+    gamma: counts are light to the power of 1/gamma.
     """
     for name, value in (("--diameter", diameter), ("--fps", fps)):
         if not (math.isfinite(value) and value > 0):
@@ -121,9 +123,11 @@ def calibrate(
 ) -> Calibration:
     """Find scale, glint width and noise from a video of balls of known diameter.
 
-    video: a video, stack, folder of pictures, clip or dataset. given: `keys_from_options`. workers: processes, or 0 for
-    one a core, where so many are quicker. progress: takes clips done and clips in all, of which those that are looked
-    at twice count twice. select: channel or plane of a stack, as "C=1".
+    video: a video, stack, folder of pictures, clip or dataset.
+    given: `keys_from_options`.
+    workers: processes, or 0 for one a core, where so many are quicker.
+    progress: takes clips done and clips in all, of which those that are looked at twice count twice.
+    select: channel or plane of a stack, as "C=1".
 
     Raises InputError for what cannot be read, or has no glints.
     """

@@ -96,9 +96,12 @@ def calibrate_plate(
 ) -> PlateCalibration:
     """Find perspective and lens from points that are known. Raises InputError.
 
-    source: a film or a picture by the same camera in the same place; with a board, one that shows it. given:
-    `keys_from_options`. points: a table of points. board: without points, what lies on the plate instead. error:
-    standard error of the points, px. height: of the camera above the plate, m.
+    source: a film or a picture by the same camera in the same place; with a board, one that shows it.
+    given: `keys_from_options`.
+    points: a table of points.
+    board: without points, what lies on the plate instead.
+    error: standard error of the points, px.
+    height: of the camera above the plate, m.
     """
     if points is not None and board:
         raise InputError("--points, --board: expected one of them")
@@ -119,8 +122,9 @@ def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: f
     A view from straight above does not determine the focal length and the height separately. Priors from usual cameras,
     or a measured height with its error, then decide.
 
-    size: width and height of the picture. error: standard error of the points' pixels. height: of the camera above the
-    plate, m, known to 2 %.
+    size: width and height of the picture.
+    error: standard error of the points' pixels.
+    height: of the camera above the plate, m, known to 2 %.
     """
     _check(points, size)
     # from 8 points on k1 is fitted, from 20 points on k2 too

@@ -29,7 +29,9 @@ class FilmClock:
 def read_clock(ticks: Sequence[float] | Array, tick: float, source: str) -> FilmClock | None:
     """Read the times of frames; None of less than three, or of times that do not grow.
 
-    ticks: time of each frame; tick: their unit, s; source: where they come from, for notes.
+    ticks: time of each frame.
+    tick: their unit, s.
+    source: where they come from, for notes.
     """
     given = np.asarray(ticks, dtype=np.float64)
     if len(given) < 3 or not np.isfinite(given).all() or not (np.diff(given) > 0).all() or not tick > 0:

@@ -22,8 +22,9 @@ class Warp:
     x (m,) and y (n,) are knots, m, in increasing order; dx and dy (n, m) displacements at them, m. Between the knots
     splines of third order interpolate. Beyond them the displacement is that at the nearest point of their rectangle.
     errors: displacements (k, 2, n, m) at the knots by each of k independent standard errors, m. They are the same in
-    all recordings. std: standard error of a displacement along either axis beside these, m. length: the way over which
-    such an error lasts, m.
+    all recordings.
+    std: standard error of a displacement along either axis beside these, m.
+    length: the way over which such an error lasts, m.
     """
 
     x: Array

@@ -204,7 +204,9 @@ def measure_losses(
     The errors also hold what is not resolved: all of it at contacts of that kind, and half of it for the plate. If
     contacts of one ball follow one another within two frames, as many may be hidden, and their energy is an error too.
 
-    frames: (n,) ascending. noise: of a coordinate, m. frame_s: duration of a frame, s.
+    frames: (n,) ascending.
+    noise: of a coordinate, m.
+    frame_s: duration of a frame, s.
     """
     seen, smoothed = _Sums(len(frames)), _Sums(len(frames))  # by how much all may err in the same direction
     lost = {name: _Sums(len(frames)) for name in SINKS}

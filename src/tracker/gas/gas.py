@@ -82,8 +82,11 @@ def measure_gas(
     """Measure the observables of a gas from the tracks of its balls, in metres, and their contacts.
 
     contacts: columns t_s, particle1, particle2 (-1 at a wall), energy_lost, energy_lost_std (m^2/s^2, NaN if unknown)
-    and misfit, as `Result.contacts` has them; t_s_std if it is known. camera: its errors count in all errors. area:
-    left, bottom, right and top of the rectangle that the centres can reach, m; without it, the one that they reached.
+    and misfit, as `Result.contacts` has them; t_s_std if it is known.
+    camera: its errors count in all errors.
+    area: left, bottom, right and top of the rectangle that the centres can reach, m; without it, the one that they
+    reached.
+
     Raises InputError if no frame has three balls with a velocity.
     """
     used = settings or GasSettings()
@@ -196,7 +199,9 @@ def contact_pair_correlation(area_fraction: ArrayLike) -> Array:
 def contact_rate(temperature: ArrayLike, density: ArrayLike, diameter: float) -> Array:
     """Contacts of one disc per second: 2 n d g sqrt(pi T).
 
-    temperature: m^2/s^2, variance of one component of the velocity. density: discs per m^2. diameter: m.
+    temperature: m^2/s^2, variance of one component of the velocity.
+    density: discs per m^2.
+    diameter: m.
     """
     n = np.asarray(density, dtype=np.float64)
     g = contact_pair_correlation(n * np.pi * diameter**2 / 4)

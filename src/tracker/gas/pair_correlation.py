@@ -27,8 +27,9 @@ def pair_correlation(
 
     The error is the scatter of blocks of consecutive snapshots.
 
-    positions: (n, 2) m of each snapshot. size: sides of the rectangle that the centres fill, m. reach, least: m,
-    largest and least distance.
+    positions: (n, 2) m of each snapshot.
+    size: sides of the rectangle that the centres fill, m.
+    reach, least: m, largest and least distance.
     """
     edges = np.linspace(least, min(reach, *size), bins + 1)
     near = (cKDTree(xy).query_pairs(edges[-1], output_type="ndarray") for xy in positions)

@@ -65,7 +65,9 @@ def fit_velocities(
     together. If the slide ends within the window, the acceleration changes there, and the window has more rows. An
     instant may lie beyond the ends of the rows; the parabola is then continued to it.
 
-    time: (n,) s, ascending. position: (n, 2) m. slide_end: s.
+    time: (n,) s, ascending.
+    position: (n, 2) m.
+    slide_end: s.
     """
     result = _fit_windows(time, position, at, window_rows, np.nan)
     if np.isfinite(slide_end):

@@ -109,9 +109,9 @@ def fit_random_effects(
 ) -> RandomEffects:
     """Fit a random-effects mean, or a regression on the columns of a design, with intervals of 95 %.
 
-    value, std (n,): values and their own standard errors, above zero, without those that they share. shared (n, k):
-    change of each value by one standard error of each shared error. design (n, p): columns of the regression, of rank
-    p <= n; default: a column of ones.
+    value, std (n,): values and their own standard errors, above zero, without those that they share.
+    shared (n, k): change of each value by one standard error of each shared error.
+    design (n, p): columns of the regression, of rank p <= n; default: a column of ones.
     """
     n = len(value)
     design = np.ones((n, 1)) if design is None else design

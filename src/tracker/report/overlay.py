@@ -26,7 +26,9 @@ Picture = NDArray[np.uint8]
 class Overlay:
     """Frames first to last of a recording with the positions, outlines and paths of the balls.
 
-    first, last: counted in the file. events: times (s) and captions. trail: number of frames for which a path is shown.
+    first, last: counted in the file.
+    events: times (s) and captions.
+    trail: number of frames for which a path is shown.
     max_width: of a picture, px.
     """
 

@@ -60,9 +60,11 @@ MODELS = (
 class RecordingPage:
     """The content of the page of one recording.
 
-    rows: of estimates, one for each collision. motion: the table of motion.parquet. frames: None for tracks that came
-    without a film. notes: assumptions and conversions. found_contacts: those of contacts.parquet; None: those of the
-    tracks.
+    rows: of estimates, one for each collision.
+    motion: the table of motion.parquet.
+    frames: None for tracks that came without a film.
+    notes: assumptions and conversions.
+    found_contacts: those of contacts.parquet; None: those of the tracks.
     """
 
     name: str
@@ -262,8 +264,11 @@ def list_page_events(rows: Iterable[Mapping[str, Any]]) -> tuple[tuple[float, st
 class ResultPages:
     """The pages of one RESULTS. Cheap to send to another process.
 
-    numbers: of the clips. source: their films, in this order; None for tracks that another program made. name: of the
-    dataset or the table. notes: assumptions and conversions. command: that which made the pages.
+    numbers: of the clips.
+    source: their films, in this order; None for tracks that another program made.
+    name: of the dataset or the table.
+    notes: assumptions and conversions.
+    command: that which made the pages.
     """
 
     output: Path

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 class Quantity:
     """A quantity that `tracker` measures.
 
-    symbol: an index follows "_". unit: in which its value is shown; "" for a pure number. factor: the number of these
-    units in one SI unit. error_unit, error_factor: the same for errors, which are smaller.
+    symbol: an index follows "_".
+    unit: in which its value is shown; "" for a pure number.
+    factor: the number of these units in one SI unit.
+    error_unit, error_factor: the same for errors, which are smaller.
     """
 
     symbol: str

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 class MatchedDetections:
     """Detections of one clip, paired with the truth; only balls wholly in view count.
 
-    pairs (n, 2): rows of `truth` and `found` that belong together. counted (k,): False for detections on balls partly
-    out of view. missed, false: balls without a detection, and detections without a ball.
+    pairs (n, 2): rows of `truth` and `found` that belong together.
+    counted (k,): False for detections on balls partly out of view.
+    missed, false: balls without a detection, and detections without a ball.
     """
 
     truth: pd.DataFrame

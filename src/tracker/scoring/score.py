@@ -219,9 +219,9 @@ def describe_fitness(score: DetectorScore, min_clips: int = 20) -> str:
 def _judge(score: DetectorScore, max_lost: float = 0.01, near_bound: float = 1.5, significance: float = 3.0) -> str:
     """Judge the tracks, then the error bars, then the size of the errors.
 
-    max_lost: share of balls missed, or of false detections, up to which tracks are good. near_bound: rmse over bound up
-    to which a fit uses nearly all information in the pictures. significance: standard errors by which a spread of z, or
-    a ratio, must be over its limit.
+    max_lost: share of balls missed, or of false detections, up to which tracks are good.
+    near_bound: rmse over bound up to which a fit uses nearly all information in the pictures.
+    significance: standard errors by which a spread of z, or a ratio, must be over its limit.
     """
     where, swaps = score.localisation, score.tracking["swaps"]
     lost = max(where["missed"], where["false"]) / max(where["n"] + where["missed"], 1)

@@ -46,8 +46,11 @@ def make_glb(
 ) -> bytes:
     """A binary glTF file of one clip.
 
-    camera: the keys of camera.json; glTF has no lens distortion. lamps: each with its candela. steel, plate: base
-    colours of metals; a `dull` plate is not a metal. roughness: glTF's, of the balls. plate_z: m.
+    camera: the keys of camera.json; glTF has no lens distortion.
+    lamps: each with its candela.
+    steel, plate: base colours of metals; a `dull` plate is not a metal.
+    roughness: glTF's, of the balls.
+    plate_z: m.
     """
     colours = {"plate": plate, "steel": steel}
     lights = {f"light{k or ''}": each for k, each in enumerate(lamps)}

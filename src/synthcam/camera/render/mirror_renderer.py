@@ -58,9 +58,11 @@ class DrawnParts(IntEnum):
 class MirrorRenderer(Renderer):
     """The view of one camera on a black plate under one lamp or two, with any number of steel balls.
 
-    radii: one a ball, m. room: radiance of the dim surroundings that a ball shows at its top, over the peak of its
-    glint; towards the horizon it fades to the radiance of the plate. faintest: the brightness over that peak below
-    which a secondary glint or the image of a neighbour is left out; for more than two balls.
+    radii: one a ball, m.
+    room: radiance of the dim surroundings that a ball shows at its top, over the peak of its glint; towards the horizon
+    it fades to the radiance of the plate.
+    faintest: the brightness over that peak below which a secondary glint or the image of a neighbour is left out; for
+    more than two balls.
 
     Raises NoGL if OpenGL cannot draw, ValueError if a lamp is in view or the lens bends too strongly within one ball.
     """
@@ -213,8 +215,9 @@ class MirrorRenderer(Renderer):
     def frames(self, centres: Centres, intervals: ArrayLike, breaks: ArrayLike = ()) -> Iterator[Picture]:
         """Mean pictures over exposures; each depends on its own exposure only.
 
-        centres: times (T,), s -> ball centres (T, N, 3), m. intervals: (F, 2) start and end of each exposure,
-        s; they may be of zero length. breaks: times at which velocities jump; exposures are split there.
+        centres: times (T,), s -> ball centres (T, N, 3), m.
+        intervals: (F, 2) start and end of each exposure, s; they may be of zero length.
+        breaks: times at which velocities jump; exposures are split there.
         """
         spans, cuts = np.asarray(intervals, float).reshape(-1, 2), np.sort(np.asarray(breaks, float))
         if self.camera.line_time:

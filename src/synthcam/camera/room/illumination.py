@@ -81,9 +81,9 @@ class BallView(NamedTuple):
 class Illumination:
     """The light of a scene.
 
-    radii, heights: (N,), m; a height of 0 is a ball's, others are those of discs. mirror: the balls' varnish or bare
-    metal; None: dull. Discs are dull, and no surface mirrors them. quick: balls exchange no light and do not mirror
-    each other.
+    radii, heights: (N,), m; a height of 0 is a ball's, others are those of discs.
+    mirror: the balls' varnish or bare metal; None: dull. Discs are dull, and no surface mirrors them.
+    quick: balls exchange no light and do not mirror each other.
     """
 
     def __init__(

@@ -39,9 +39,13 @@ FINENESS = 3  # samples of balls and plate per pixel, along rows and along colum
 class RoomRenderer(Renderer):
     """The view of one camera on balls with a `finish` and, unless they are dull, a `mirror`: varnish or bare metal.
 
-    The unit of a picture is the white of a plate of reflectance 1 at the world's origin. radii: one a ball, m. heights:
-    those of discs, m, and 0 of balls. quick: as of `Illumination`; motion during an exposure is in few steps. Raises
-    ValueError if a lamp is in view.
+    The unit of a picture is the white of a plate of reflectance 1 at the world's origin.
+
+    radii: one a ball, m.
+    heights: those of discs, m, and 0 of balls.
+    quick: as of `Illumination`; motion during an exposure is in few steps.
+
+    Raises ValueError if a lamp is in view.
     """
 
     def __init__(

@@ -21,8 +21,9 @@ from tracker.scoring.tracking_metrics import GATE_PX, score_tracks
 class PositionMatches:
     """Positions of a tracker in a part of a suite, paired with the truth.
 
-    statistics: errors of positions, and tracking measures. pairs: a row for each position found. lost: by clip, frame
-    and particle of the balls wholly in view that were missed.
+    statistics: errors of positions, and tracking measures.
+    pairs: a row for each position found.
+    lost: by clip, frame and particle of the balls wholly in view that were missed.
     """
 
     statistics: dict[str, float]

@@ -41,8 +41,9 @@ class TrackerResults:
     """Tracks and estimates of a tracker.
 
     of: takes film and clip. It returns tracks as in tracks.parquet and a row of estimates for each collision; both are
-    empty for a missing clip. sample: the clips that the tracker was run on. own: "centre" where the tracker gives
-    centres itself; "glint" where the camera file corrects its positions.
+    empty for a missing clip.
+    sample: the clips that the tracker was run on.
+    own: "centre" where the tracker gives centres itself; "glint" where the camera file corrects its positions.
     """
 
     of: Callable[[str, int], ClipResults]

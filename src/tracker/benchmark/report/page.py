@@ -49,7 +49,9 @@ def write_report(
 ) -> Path:
     """Write REPORT/index.html and return its path.
 
-    entries: the best first. about: suite.json. command: that which made the page.
+    entries: the best first.
+    about: suite.json.
+    command: that which made the page.
     """
     whose = "withheld from the authors of the trackers" if about["split"] == "withheld" else "open"
     summary = (

@@ -107,8 +107,11 @@ def localisation_bound(
 ) -> Array:
     """Cramer-Rao bound (n, 2, 2), px^2, of the positions of glints, with free flux and flat background.
 
-    flux: (n,) counts. xy, blur: positions and displacements during the exposure, (n, 2) px. background: counts;
-    default: the black level. Raises ValueError for a camera without a width of the PSF.
+    flux: (n,) counts.
+    xy, blur: positions and displacements during the exposure, (n, 2) px.
+    background: counts; default: the black level.
+
+    Raises ValueError for a camera without a width of the PSF.
     """
     return _bound(camera, flux, xy, blur, background)[0]
 

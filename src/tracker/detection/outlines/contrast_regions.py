@@ -70,9 +70,11 @@ def split_region(
 ) -> list[ContrastRegion]:
     """Split a region into parts that have half of its contrast.
 
-    apart: (h, w) differences from the background, counts. own: (h, w), the pixels of the region. left, top: where they
-    lie in the picture, px. sign: 1 takes only what is brighter than the background, -1 what is darker, 0 both. A
-    brighter part may have a quarter of the contrast at its rim: it may be a ball that is lit from one side.
+    apart: (h, w) differences from the background, counts.
+    own: (h, w), the pixels of the region.
+    corner: left and top of both in the picture, px.
+    sign: 1 takes only what is brighter than the background, -1 what is darker, 0 both. A brighter part may have a
+    quarter of the contrast at its rim: it may be a ball that is lit from one side.
     low, min_radius: least contrast, counts, and least radius, px, of a part.
     """
     left, top = corner

@@ -154,8 +154,13 @@ def mean_positions(
 ) -> tuple[Array, Array]:
     """Compute the positions that the collision model predicts, averaged over exposures, and their derivatives.
 
-    An exposure that holds the impact or the end of a slide needs no care. free (22,): in the order of FREE. ball: 1
-    (struck) or 2 (striker), one or (n,). start (n,): of the exposures, s. exposure: s; 0 for instants. diameter: m.
+    An exposure that holds the impact or the end of a slide needs no care.
+
+    free (22,): in the order of FREE.
+    ball: 1 (struck) or 2 (striker), one or (n,).
+    start (n,): of the exposures, s.
+    exposure: s; 0 for instants.
+    diameter: m.
 
     Returns positions (n, 2), m, and their derivatives (n, 2, 22) by `free`.
     """

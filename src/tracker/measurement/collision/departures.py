@@ -106,8 +106,9 @@ def weigh_departures(departures: Sequence[LawDeparture]) -> DeparturePosterior:
 def find_posterior(z: Array, precision: Array, scales: Array, expected: Sequence[float]) -> DeparturePosterior:
     """Find the posterior of n parameters that are zero or not, from measured values with normal errors.
 
-    z (n,): the values, each as measured if all others are zero. precision (n, n): as of `DeparturePosterior`. scales
-    (n,): half of the Cauchy prior of a parameter is nearer to zero. All are in standard errors of the values.
+    z (n,): the values, each as measured if all others are zero.
+    precision (n, n): as of `DeparturePosterior`.
+    scales (n,): half of the Cauchy prior of a parameter is nearer to zero. All are in standard errors of the values.
     expected: probabilities that the parameters are not zero, before.
 
     A Cauchy prior is a mixture of normal ones whose standard deviation is the scale over |u|, u standard normal

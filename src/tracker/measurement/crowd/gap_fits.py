@@ -198,8 +198,10 @@ def gather_gaps(
 ) -> ContactGaps:
     """Gather the gaps of candidates, each with the positions of as many balls.
 
-    gaps: of each candidate, frames before and after each gap. last_slides: of each ball of it, instant and slip of the
-    slide before its positions. decel: of a slide, m/s^2. frame_s: duration of a frame, s.
+    gaps: of each candidate, frames before and after each gap.
+    last_slides: of each ball of it, instant and slip of the slide before its positions.
+    decel: of a slide, m/s^2.
+    frame_s: duration of a frame, s.
     """
     candidate = np.repeat(np.arange(len(candidates)), [len(each) for each in gaps])
     left, right = np.array([gap for each in gaps for gap in each], dtype=np.int64).reshape(-1, 2).T

@@ -44,9 +44,10 @@ class LocalEstimate:
     """Values in the order of LOCAL_NAMES, with their covariance.
 
     response: (n, 9), derivatives of each value. They are by the velocities of SIDES along n and t, and by the logarithm
-    of the mass ratio, ball 1 over ball 2. chi2, dof, adequate: of the positions by the errors before the residuals
-    widen them, and the p-value. Without claimed errors these are those of the scatter from frame to frame. shared: by
-    key of the camera file that has an error, its value, and the effect (n,) of one standard error.
+    of the mass ratio, ball 1 over ball 2.
+    chi2, dof, adequate: of the positions by the errors before the residuals widen them, and the p-value. Without
+    claimed errors these are those of the scatter from frame to frame.
+    shared: by key of the camera file that has an error, its value, and the effect (n,) of one standard error.
     """
 
     value: Array
@@ -81,8 +82,9 @@ def estimate_in_steps(
 ) -> FitInSteps[LocalEstimate | str]:
     """Estimate one collision from free motion near the contact, or give the reason why that is impossible.
 
-    masses: of ball 1 and ball 2, in any unit. slide: a prior of the duration of a slide, s, and the error of its
-    logarithm, if something shows it. striker: motions that ball 2 may have on a plate before the contact.
+    masses: of ball 1 and ball 2, in any unit.
+    slide: a prior of the duration of a slide, s, and the error of its logarithm, if something shows it.
+    striker: motions that ball 2 may have on a plate before the contact.
     """
     rests = not contact.pair.target_moves
     glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
