@@ -127,7 +127,7 @@ def draw_tracks(view: CollisionView) -> Figure:
         inset.add_patch(Circle(tuple(contact[ball]), radius, fill=False, ec=colour, lw=1))
     middle = (contact[1] + contact[2]) / 2
     inset.set(xlim=middle[0] + np.array([-3, 3]) * radius, ylim=middle[1] + np.array([-3, 3]) * radius)
-    inset.set_title("outlines of the balls at contact, $t_c$", fontsize=9)
+    inset.set_title("every frame; outlines of the balls at $t_c$", fontsize=9)
     for where in (axes, inset):
         where.set_aspect("equal", adjustable="datalim" if where is axes else "box")
         where.set(xlabel="x / mm", ylabel="y / mm")
