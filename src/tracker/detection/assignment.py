@@ -1,6 +1,6 @@
 """Assigns the detections of a frame to the balls that are predicted there, as one problem of greatest likelihood."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from synthcam_shared.arrays import Array, Ints
 from tracker.detection.motion_filter import (
     MAX_BALLS_FOR_ALL_PAIRS,
+    MAX_SIGMA_OF_OWN,
     MotionNoise,
     PredictedBalls,
     PredictedHits,
@@ -61,12 +62,12 @@ def link_frame(
 
 def _match_plainly(step: _Step) -> Ints | None:
     """The detection (n,) of each ball where every ball and every detection has its own; None otherwise."""
-    free, found, max_sigma = step.free, step.found, 3.0
+    free, found = step.free, step.found
     if len(free) != len(found) or len(free) > MAX_BALLS_FOR_ALL_PAIRS or (free.count < 2).any():
         return None
     off = ((free.xy[:, None] - found) ** 2).sum(axis=2)
     nearest = off.argmin(axis=1)
-    close = off[np.arange(len(free)), nearest] < max_sigma**2 * (free.cov[:, 0] + step.noise.position**2)
+    close = off[np.arange(len(free)), nearest] < MAX_SIGMA_OF_OWN**2 * (free.cov[:, 0] + step.noise.position**2)
     return nearest if close.all() and len(set(nearest.tolist())) == len(free) else None
 
 
@@ -214,4 +215,4 @@ def _update(step: _Step, hits: PredictedHits | None, links: tuple[Ints, Ints, In
         xy[turned], v[turned] = last[turned], way
         error = 0.5 * (speed + np.hypot(*way.T)) + 0.1 * noise.diameter
         cov[turned] = np.column_stack([np.full(len(turned), noise.position**2), 0 * error, error**2])
-    return replace(free, xy=xy, v=v, cov=cov, seen=number, last=last, count=count)
+    return PredictedBalls(free.number, number, count, last, xy, v, cov)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from synthcam_shared.arrays import Array, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.assignment import link_frame
+from tracker.detection.few_balls import follow_apart
 from tracker.detection.glints import Glints, RowArrays, describe_flags
 from tracker.detection.motion_filter import MotionNoise, PredictedBalls
 from tracker.settings import LinkSettings
@@ -134,18 +135,25 @@ def _follow(glints: Glints, noise: MotionNoise, max_gap_frames: int) -> list[Int
     track = np.empty(len(glints), dtype=np.int64)
     first = len(parts[0])
     track[parts[0]] = np.arange(first)
-    live, count = PredictedBalls.start(np.arange(first), int(frames[0]), xy[parts[0]], noise), first
-    for k, (frame, rows) in enumerate(zip(frames[1:].tolist(), parts[1:], strict=True), 1):
+    numbers: list[int] = frames.tolist()
+    live, count, k = PredictedBalls.start(np.arange(first), numbers[0], xy[parts[0]], noise), first, 1
+    while k < len(numbers):
+        frame = numbers[k]
         recent = frame - live.seen <= max_gap_frames + 1
         live = live if recent.all() else live.take(recent)
-        follows = k + 1 < len(frames)
-        coming = (xy[parts[k + 1]], int(frames[k + 1]) - frame) if follows else None
-        live, own = link_frame(live, xy[rows], int(frame - frames[k - 1]), frame, coming, noise)
+        live, alone = follow_apart(live, numbers, parts, xy, k, max_gap_frames + 1, noise)
+        if alone:
+            track[np.concatenate(alone)] = np.tile(live.number, len(alone))
+            k += len(alone)
+            continue
+        rows = parts[k]
+        coming = (xy[parts[k + 1]], numbers[k + 1] - frame) if k + 1 < len(numbers) else None
+        live, own = link_frame(live, xy[rows], frame - numbers[k - 1], frame, coming, noise)
         new = np.flatnonzero(own < 0)
         if len(new):
             own[new] = count + np.arange(len(new))
             live = PredictedBalls.join([live, PredictedBalls.start(own[new], frame, xy[rows[new]], noise)])
-        track[rows], count = own, count + len(new)
+        track[rows], count, k = own, count + len(new), k + 1
     ordered = np.lexsort((glints.frame, track))
     return np.split(ordered, np.flatnonzero(np.diff(track[ordered])) + 1)
 

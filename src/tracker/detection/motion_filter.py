@@ -12,7 +12,7 @@ The likelihood of a detection is the sum over these. It is compared with that of
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -23,6 +23,7 @@ from synthcam_shared.arrays import Array, Ints
 from tracker.detection.glints import RowArrays
 
 MAX_BALLS_FOR_ALL_PAIRS = 48  # balls, up to which all pairs are looked at
+MAX_SIGMA_OF_OWN = 3.0  # standard errors along an axis, within which a detection is surely the ball's own
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class PredictedBalls(RowArrays):
         cov[:, 0] = xx + 2 * t * xv + t * t * vv + push * t**4 / 4
         cov[:, 1] = xv + t * vv + push * t**3 / 2
         cov[:, 2] = vv + push * t * t
-        return replace(self, xy=self.xy + t * self.v, cov=cov)
+        return PredictedBalls(self.number, self.seen, self.count, self.last, self.xy + t * self.v, self.v, cov)
 
 
 @dataclass(frozen=True, eq=False)
