@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from synthcam_shared.arguments import check_arguments, name_arguments
 from synthcam_shared.errors import InputError
@@ -265,7 +266,8 @@ def track(
     clip, why = select_channel(_open(film, camera, FilmOptions.of(reading)), name_channel(channel, colour))
     clip = clip if number is None else replace(clip, number=number)
     edited.check_clips([clip.number])
-    result = track_and_measure(clip, detector, chosen, edited)
+    with threadpool_limits(1, "blas"):  # as in the commands: matrices are small, and threads would wait for one another
+        result = track_and_measure(clip, detector, chosen, edited)
     return replace(result, notes=_name_arguments(*make_notes(NoteKind.CHANNEL, [why]), *result.notes))
 
 
@@ -401,7 +403,8 @@ def _measure_given(
     check_edits(given, point, edited)
     for number, (tracks, striker) in sorted(given.clips.items()):
         known = given.camera if striker is None else replace(given.camera, striker=striker)
-        result = measure_tracks(tracks, known, number, point, fit, edited)
+        with threadpool_limits(1, "blas"):  # as in `track`
+            result = measure_tracks(tracks, known, number, point, fit, edited)
         found.append(replace(result, notes=_name_arguments(*given.notes, *result.notes)))
     every = calibrate_set([row for result in found for row in result.rows])
     ends = np.cumsum([len(result.rows) for result in found])

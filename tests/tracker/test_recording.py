@@ -10,12 +10,14 @@ import pandas as pd
 import pytest
 import tifffile
 from matplotlib.figure import Figure
+from threadpoolctl import threadpool_info, threadpool_limits
 from tracker_discs import disc
 from tracker_film import spot
 
 import synthcam
 import tracker
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
+from synthcam_shared.errors import InputError
 from tracker import cli, pipeline, recording
 from tracker.detection.choose import DISCS, GLINTS, SelectedDetector
 from tracker.detection.diagnose import LooseEnds
@@ -261,3 +263,24 @@ def test_a_clip_and_its_camera_are_cameras_as_their_keys_are(clip, result):
 def test_what_is_no_camera_is_one_line(clip, camera):
     with pytest.raises(tracker.InputError, match=r"^camera: of type .*, expected the keys of camera\.json, a path"):
         tracker.track(clip.film(), camera)
+
+
+def test_linear_algebra_stays_in_one_thread(clip, monkeypatch):
+    seen = []
+
+    def count_threads(*given, **more):
+        seen.append({pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"})
+        raise InputError("seen")
+
+    monkeypatch.setattr(recording, "track_and_measure", count_threads)
+    monkeypatch.setattr(recording, "measure_tracks", count_threads)
+    table = clip.tracks[["frame", "particle", "x_px", "y_px"]].rename(columns={"x_px": "x", "y_px": "y"})
+    with threadpool_limits(2, "blas"):
+        for work in (
+            lambda: tracker.track(clip.film(), clip.camera_json),
+            lambda: tracker.measure(table, clip.camera_json),
+        ):
+            with pytest.raises(InputError, match="seen"):
+                work()
+        assert seen == [{1}, {1}]
+        assert all(pool["num_threads"] == 2 for pool in threadpool_info() if pool["user_api"] == "blas")

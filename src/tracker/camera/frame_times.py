@@ -110,6 +110,8 @@ def find_repeated(changes: Array, tolerance: float = 0.0) -> Ints:
     after an encoder with loss; 0: copies are exact. Runs of more than three frames are a picture where nothing moves.
     """
     reach, share, longest = 8, 0.04, 3  # frames; a fifth of the change, squared; frames
+    if not tolerance and changes.all():
+        return np.zeros(0, dtype=np.int64)
     usual = 0.2 * float(np.median(changes[changes > tolerance])) if (changes > tolerance).any() else np.inf
     still = np.zeros(len(changes) + 1, dtype=bool)
     for k, change in enumerate(changes):

@@ -117,7 +117,8 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
     taken = np.where(np.isfinite(time), time, frame / camera.fps)
     start, width = taken + camera.line_time * xy[:, 1], (camera.sigma or default_glint_width_px) * camera.scale
     apart = np.hypot(tracks.x - tracks.glint_x, tracks.y - tracks.glint_y)[keep]  # NaN or 0 where no glint was seen
-    shaded = np.array([PositionFlag.SHADED.word in words for words in tracks.flags[keep]], dtype=bool)
+    word = PositionFlag.SHADED.word
+    shaded = np.array([word in words for words in tracks.flags[keep].tolist()], dtype=bool)
     shadow_m = SHADED_POSITION_ERROR_RADII * camera.ball_diameter / 2
     encoded = camera.sensor.codec_noise > 0
     found = []

@@ -1,6 +1,6 @@
 """Few balls that keep apart: the same states as by likelihoods, to the last bit, and where likelihoods take over."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -80,6 +80,11 @@ def test_they_stop_where_a_frame_is_not_plain():
     closer = xy.copy()
     closer[parts[18], 0] = np.linspace(0, 16, 2)
     assert count(xy=closer) == 16, "a jump"
+    wide = replace(live, cov=live.cov + np.array([1e6, 0.0, 0.0]))
+    shared = xy.copy()
+    shared[parts[2][1]] = shared[parts[2][0]] + [300.0, 0.0]
+    assert len(follow(xy, parts, frames, wide)[1]) > 0
+    assert follow(shared, parts, frames, wide)[1] == [], "one detection is the nearest of both"
     new = PredictedBalls.start(live.number, 1, live.xy, NOISE)
     assert follow(xy, parts, frames, new) == (new, [])
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
 
@@ -38,6 +39,7 @@ class StretchFit:
     dof: float  # degrees of freedom of chi2
 
 
+@lru_cache(maxsize=64)  # the window of a stretch is chosen by fits that the fit of all stretches starts from
 def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind) -> StretchFit:
     """Fit one stretch of a local fit alone, over a few durations of the slide, and again about the best of them."""
     span = float(np.abs(stretch.time - contact).max())
@@ -54,6 +56,7 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind) -> 
         out[6] = np.log(taus[best])
     if motion.rolls:
         out[-1] = 0.05
+    out.flags.writeable = False  # later calls get it again
     counted = ~stretch.near
     chi2 = float((stretch.far.whiten(left[best][counted]) ** 2).sum()) if counted.any() else 0.0
     return StretchFit(out, chi2, max(2 * int(counted.sum()) - motion.size, 1))
@@ -96,17 +99,22 @@ def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind
     errors are larger than claimed, as in encoded films. The best of the windows then shows how large they are.
     """
     ahead, tried = np.abs(stretch.time - contact), list[tuple[Stretch, float]]()
+    limit = MAX_RESIDUAL**2
     for share in (1.0, 0.63, 0.4, 0.25, 0.16, 0.1):
         keep = ahead <= share * float(ahead.max(initial=0.0)) * 1.0001
         if int(keep.sum()) < min(5, len(stretch)):
             break
         window = stretch.where(keep)
-        fits = (fit_single_stretch(window, contact, m) for m in motions if 2 * len(window) > m.size)
-        tried.append((window, min((fit.chi2 / fit.dof for fit in fits), default=np.inf)))
-        if tried[-1][1] <= MAX_RESIDUAL**2:
-            return window
+        misfits = list[float]()
+        for motion in motions:
+            if 2 * len(window) > motion.size:
+                fit = fit_single_stretch(window, contact, motion)
+                misfits.append(fit.chi2 / fit.dof)
+                if misfits[-1] <= limit:
+                    return window
+        tried.append((window, min(misfits, default=np.inf)))
     best = min((misfit for _, misfit in tried), default=np.inf)
-    return next((window for window, misfit in tried if misfit <= MAX_RESIDUAL**2 * best), stretch)
+    return next((window for window, misfit in tried if misfit <= limit * best), stretch)
 
 
 def guess_contact(stretches: Sequence[Stretch], contact: float) -> float:
@@ -170,7 +178,7 @@ def fit_motions(
             x[0], x[5], x[6] = contact, np.log(priors.friction), priors.loss
             places: dict[int, list[Array]] = {1: [], 2: []}
             for k, (s, motion) in enumerate(zip(stretches, motions, strict=True)):
-                own = fit_single_stretch(s, contact, motion).values
+                own = fit_single_stretch(s, contact, motion).values.copy()
                 if problem.slides_first(k):
                     own[2:4] += own[4:6] * min(float(np.exp(own[6])), problem.spans[k])
                 if problem.rubs(k):
