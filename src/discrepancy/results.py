@@ -53,7 +53,8 @@ class SearchResult(SearchOutcome):
     accepted, rejected : tuple of ClaimTest
         The tests of accepted and of rejected claims.
     undetectable : tuple of str
-        Effects that these collisions cannot show at a realistic size.
+        Effects that these collisions would show only above ten times a realistic size (`max_detection_limit` of the
+        policy), or not at all.
     experiment : str
         The collisions that would distinguish the effects of an alias class.
     uniform, processed : tuple of SearchNote

@@ -408,6 +408,7 @@ def _describe_gap(found: SearchOutcome) -> str:
 
 def _describe_open_questions(found: SearchOutcome) -> str:
     lines, fitted = [], f"These {len(found.data.clips)} fitted {found.data.unit}"
+    sizes = f"{found.policy.max_detection_limit:g} times its"
     classes = [_join_words(claim.aliases, "and") for claim in found.claims if len(claim.aliases) > 1]
     if classes:
         lines.append(f"{fitted} cannot distinguish {'; nor '.join(classes)} (see the experiment below).")
@@ -417,9 +418,12 @@ def _describe_open_questions(found: SearchOutcome) -> str:
     if undetermined:
         lines.append(f"{fitted} do not determine {_join_words(undetermined, 'and')}.")
     if found.undetectable:
-        lines.append(f"{fitted} cannot show {_join_words(found.undetectable, 'or')} at a realistic size.")
-    if not lines:
-        lines.append("Every effect of the library would have been detected at a realistic size.")
+        lines.append(
+            f"{fitted} would show {_join_words(found.undetectable, 'or')} only above {sizes} realistic size, or not at "
+            "all."
+        )
+    elif not lines:
+        lines.append(f"{fitted} would show every effect of the library at {sizes} realistic size, or at less.")
     return " ".join(
         [*lines, *(f"{note[:1].upper()}{note[1:]}." for note in map(str, (*found.uniform, *found.processed)))]
     )

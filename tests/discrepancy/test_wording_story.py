@@ -10,6 +10,7 @@ from discrepancy_outsiders import outsider
 from discrepancy.fitting.gauss_newton import fit_model, solve_step
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
+from discrepancy.policy import SearchPolicy
 from discrepancy.wording import gain_of_next_step, write_story
 from synthcam.model import Model
 
@@ -27,7 +28,19 @@ def test_sentences_with_the_numbers(found):
     assert f"On the {len(found.data.clips)} fitted collisions the base model has chi^2" in where
     assert f"{found.gap.floor_um:.2f} um" in closed
     these = f"These {len(found.data.clips)} fitted collisions cannot "
-    assert still.startswith((f"{these}distinguish", f"{these}show", "Every effect", "None of"))
+    shown = f"These {len(found.data.clips)} fitted collisions would show "
+    assert still.startswith((f"{these}distinguish", shown, "None of"))
+
+
+def test_effects_that_do_not_show_come_with_the_size_that_would_show():
+    """A search lists effects above ten realistic sizes, or as many as its policy says; one of five may still hide."""
+    found = searched("nothing")
+    shown = dataclasses.replace(found, undetectable=())
+    assert (
+        " would show every effect of the library at 10 times its realistic size, or at less." in write_story(shown)[3]
+    )
+    hidden = dataclasses.replace(found, undetectable=("hop", "air_drag"), policy=SearchPolicy(max_detection_limit=4.0))
+    assert " show hop or air_drag only above 4 times its realistic size, or not at all." in write_story(hidden)[3]
 
 
 def test_what_is_missing_is_said_with_its_numbers():

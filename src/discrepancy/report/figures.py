@@ -19,12 +19,13 @@ from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.outcome import SearchOutcome
 from discrepancy.validate.gap import Gap
-from synthcam_shared.arrays import Array
+from synthcam_shared.arrays import Array, Ints
 from synthcam_shared.report.page import PageFigure, make_axes
 
 # colours of the base model, of the best model, of noise alone, and of all else
 COLOURS = {"base": "#b2182b", "best": "#2166ac", "noise": "#4d4d4d", "other": "#bdbdbd"}  # by what is drawn
 MAX_RANKED_EFFECTS = 20  # in the chart of candidates
+MIN_CLUSTERS = 3  # collisions whose scatter gives an error bar
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
 
 
@@ -47,21 +48,26 @@ def draw_search_figures(found: SearchOutcome) -> list[PageFigure]:
     early = " stopped early and" if found.interrupted else ""
     only = "" if not found.is_empty else f" The search{early} names no effect, so the base model is shown alone."
     means, sizes = _residual_figures(found)
+    bars = f"Error bars: standard error from the scatter between {unit}; none with fewer than {MIN_CLUSTERS}."
+    times = "Each phase of a ball is divided into eight equal times."
+    path, heading = "after the contact", "the heading of the striker"
+    if found.data.is_cut:
+        path, heading = "in its stretch", "its first direction"
     figures = [
         (
             f"Mean residuals{compared}",
             means,
-            f"Mean residuals of the fitted {unit}. Error bars: scatter between {unit}, as the standard error of "
-            f"the mean. The sigma in the text is larger where a wrong model makes {unit} differ, because it "
-            f"compares each {unit.one} with its measurement noise. Time runs from the first frame to the contact, "
-            "through sliding, to the last frame of rolling. Along: along the path of the ball after the contact; "
-            "across: towards the side to which it is deflected.",
+            f"Residual: measured less predicted position, of the fitted {unit}. A point is the average of the means of "
+            f"the {unit}. {bars} {times} Along: along the path of the ball {path}. Across: to the side to which this "
+            f"path deviates from {heading}. The significances on this page compare each {unit.one} with its "
+            f"measurement noise. A wrong model makes {unit} differ; these significances are then larger than the error "
+            "bars suggest.",
         ),
         (
             f"Size of the residuals{compared}",
             sizes,
-            "Root mean square of the same residuals. Error bars: statistical, for independent residuals of normal "
-            f"distribution. It also shows a disagreement whose sign changes between {unit}.",
+            f"Root mean square of the same residuals, of one coordinate. {bars} {times} The rms also shows a "
+            f"disagreement whose sign changes between {unit}.",
         ),
     ]
     if found.law_summary:
@@ -91,16 +97,16 @@ def _residual_figures(found: SearchOutcome) -> tuple[Figure, Figure]:
     means, grid = make_axes(len(shown), 2, figsize=(8, 0.2 + 2.2 * len(shown)), sharex=True, squeeze=False)
     sizes, ((*row,),) = make_axes(1, len(shown), figsize=(4 * len(shown), 2.8), sharey=True, squeeze=False)
     for k, (clips, fit, colour, label) in enumerate(_fits_to_draw(found)):
-        stage, ball, left = _residuals(clips, fit, found.data.noise)
+        stage, ball, clip, left = _residuals(clips, fit, found.data.noise)
         style: Any = {"fmt": "o", "ms": 3, "lw": 1, "color": colour, "label": label}
         for b, both, ax in zip(shown, grid, row, strict=True):
+            mine = ball == b
             for axis in range(2):
-                centres, values = _bin(stage[ball == b], left[ball == b, axis])
-                errors = [v.std(ddof=1) / np.sqrt(len(v)) for v in values]
-                both[axis].errorbar(centres + 0.02 * k, [v.mean() for v in values], errors, **style)
-            centres, values = _bin(stage[ball == b], np.sqrt((left[ball == b] ** 2).mean(axis=1)))
-            rms = np.array([np.sqrt(np.mean(v**2)) for v in values])
-            ax.errorbar(centres + 0.02 * k, rms, rms / np.sqrt([4 * len(v) for v in values]), **style)
+                centres, mean, error = _average_bins(stage[mine], clip[mine], left[mine, axis])
+                both[axis].errorbar(centres + 0.02 * k, mean, error, **style)
+            centres, square, error = _average_bins(stage[mine], clip[mine], (left[mine] ** 2).mean(axis=1))
+            rms = np.sqrt(square)
+            ax.errorbar(centres + 0.02 * k, rms, error / (2 * rms), **style)
     for b, both, ax in zip(shown, grid, row, strict=True):
         name = "all stretches" if found.data.is_cut else f"ball {b + 1}"
         for axis, word in enumerate(("along", "across")):
@@ -123,11 +129,14 @@ def _mark_stages(ax: Axes, title: str, is_cut: bool) -> None:
     ax.tick_params(axis="x", length=0)
 
 
-def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise) -> tuple[Array, Array, Array]:
-    """Stage (-1 to 0 before the contact, 1 sliding, 2 rolling), ball, and residuals along and across the path, µm."""
-    stages, balls, lefts = [], [], []
+def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise) -> tuple[Array, Ints, Ints, Array]:
+    """Residuals of positions along and across the path, µm, with their stage, ball and number of the clip.
+
+    The stage is -1 to 0 before the contact, to 1 in sliding, and to 2 in rolling.
+    """
+    stages, balls, numbers, lefts = [], [], [], []
     expected = predict_tracks(fit.model, fit.launches, clips)
-    for clip, launch, xy, white in zip(clips, fit.launches, expected, fit.residuals, strict=True):
+    for number, (clip, launch, xy, white) in enumerate(zip(clips, fit.launches, expected, fit.residuals, strict=True)):
         time = (clip.frame + 0.0) / clip.fps + clip.exposure / 2
         stage = np.zeros(len(time))
         left, out = ClipWhitener.of(clip, noise).undo_noise(white), np.zeros((len(time), 2))
@@ -147,15 +156,36 @@ def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise) 
             out[rows] = 1e6 * np.stack([left[rows] @ path, left[rows] @ side], axis=1)
         stages.append(stage)
         balls.append(clip.ball)
+        numbers.append(np.full(len(stage), number))
         lefts.append(out)
-    return np.concatenate(stages), np.concatenate(balls), np.concatenate(lefts)
+    return np.concatenate(stages), np.concatenate(balls), np.concatenate(numbers), np.concatenate(lefts)
 
 
-def _bin(stage: Array, left: Array, bins: int = 8, min_points: int = 3) -> tuple[Array, list[Array]]:
-    """Middles of the bins, and the residuals of each; bins: of a stage; min_points: in a bin that is shown."""
+def _average_bins(
+    stage: Array, clip: Ints, values: Array, bins: int = 8, min_points: int = 3
+) -> tuple[Array, Array, Array]:
+    """Average values in bins of the stage: the middles of the bins, the means, and their standard errors.
+
+    bins: of a stage; min_points: in a bin that is shown.
+    """
     which = np.floor((np.clip(stage, -1, 2 - 1e-9) + 1) * bins).astype(int)
     kept = [k for k in range(3 * bins) if np.sum(which == k) >= min_points]
-    return (np.array(kept) + 0.5) / bins - 1, [left[which == k] for k in kept]
+    averages = [average_clusters(clip[which == k], values[which == k]) for k in kept]
+    mean, error = np.reshape(averages, (-1, 2)).T
+    return (np.array(kept) + 0.5) / bins - 1, mean, error
+
+
+def average_clusters(cluster: Ints, values: Array) -> tuple[float, float]:
+    """Average the means of clusters; return this average and its standard error, by the scatter of the means.
+
+    Values of one cluster may depend on each other, as the residuals of a collision do with a wrong model. Different
+    clusters are independent. The error is NaN with fewer than `MIN_CLUSTERS` clusters.
+    """
+    _, which = np.unique(cluster, return_inverse=True)
+    means = np.bincount(which, values) / np.bincount(which)
+    if len(means) < MIN_CLUSTERS:
+        return float(means.mean()), np.nan
+    return float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(means)))
 
 
 def _law_figure(answer: LawSummary) -> Figure:

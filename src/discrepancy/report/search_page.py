@@ -169,10 +169,10 @@ def _test_table(found: SearchOutcome) -> list[Block]:
     unit = found.data.unit
     heads = [
         "claim",
-        *(f"held-out {unit}, χ² per point: {which}" for which in ("without it", "with it")),
+        *(f"held-out {unit}, χ² per point: {which}" for which in ("without the claim", "with it")),
         f"held-out {unit}: observed significance, sigma (expected)",
-        *(f"fitted {unit}, each left out in turn, χ² per point: {which}" for which in ("without it", "with it")),
-        f"fitted {unit}, each left out in turn: significance, sigma",
+        *(f"all {unit}, each left out of the fit, χ² per point: {which}" for which in ("without the claim", "with it")),
+        f"all {unit}, each left out of the fit: significance, sigma",
         "result",
     ]
     rows = []
@@ -185,13 +185,15 @@ def _test_table(found: SearchOutcome) -> list[Block]:
                 f"{wording.format_sigma(held_out.sigma)} ({wording.format_sigma(held_out.promised)})",
                 *(wording.format_chi2(chi2) for chi2 in each.gap),
                 wording.format_sigma(each.sigma),
-                f"rejected: {wording.describe_rejection(test, unit)}" if test.rejection else "passed",
+                f"rejected: {wording.describe_rejection(test, unit)}" if test.rejection else "passed all tests",
             )
         )
+    fitted, predicted = len(found.data.clips), len(found.data.held_out)
     note = (
-        f"Two tests of each claim. The first uses the {len(found.data.held_out)} held-out {unit}. The second "
-        f"leaves out each of the {len(found.data.clips)} fitted {unit} in turn, and a fit to the others predicts "
-        "it. The expected significance is the one that the claimed strength would give."
+        f"The table shows two of the tests; the result is that of all tests. The first test predicts the {predicted} "
+        f"held-out {unit}. The expected significance is the one that the claimed strength would give there. The second "
+        f"predicts all {fitted + predicted} {unit}, each by a fit that did not use it. For a fitted {unit.one} that is "
+        f"the fit to the other {fitted - 1}. So the second significance may exceed that of the effect in the fit."
     )
     return [PageTable(heads, rows, note=note)]
 

@@ -132,7 +132,7 @@ def exchange_effect(library: LibraryFits, found: Selection, candidate: Candidate
 
 
 def find_undetectable(library: LibraryFits, state: State) -> tuple[str, ...]:
-    """Find the effects of the library that these collisions cannot show beside a model, at any realistic size."""
+    """Find the effects of the library that these collisions cannot show beside a model: see `max_detection_limit`."""
     return tuple(c.effect for c in library.score_tests(state).ranking() if not c.identifiable)
 
 

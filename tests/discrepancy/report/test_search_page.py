@@ -11,7 +11,8 @@ from discrepancy_outsiders import OUTSIDERS, outsider
 
 from discrepancy.report import search_page as report
 from discrepancy.report.figures import _fits_to_draw, _gap_by_phase_figure, draw_search_figures, name_best_model
-from discrepancy.wording import write_story
+from discrepancy.validate.claim_tests import leave_one_out_residuals
+from discrepancy.wording import format_chi2, write_story
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
 
@@ -109,6 +110,21 @@ def test_the_page_distinguishes_a_similar_effect_from_an_alias(tmp_path, without
     assert re.search(r"<td[^>]*>none</td>", strong)
     assert "The data do not exclude: hop (cosine 0.980)." in similar(sigma=10.0, aliases=alone)
     assert "The data do not exclude: hop (cosine 0.980)." in similar(sigma=100.0, aliases=(*alone, "hop"))
+
+
+def test_the_table_of_tests_counts_all_collisions_that_it_predicts(tmp_path, without_figures):
+    """The second test is on the fitted collisions, each left out once, and on the held-out ones too."""
+    found = searched("velocity_restitution")
+    left_out = [*leave_one_out_residuals(found.best_fit), *found.gap_fits.after.residuals]
+    chi2 = sum(float(r @ r) for r in left_out) / sum(map(len, left_out))
+    report.write(found, tmp_path)
+    page = (tmp_path / "index.html").read_text()
+    table = page[page.index("<h2>Tests of each claim") : page.index("<h2>Disagreements")]
+    heads, cells = (re.findall(f"<{tag} [^>]*>(.*?)</{tag}>", table) for tag in ("th", "td"))
+    row = dict(zip(heads, cells, strict=True))
+    assert row["all collisions, each left out of the fit, χ² per point: with it"] == format_chi2(chi2)
+    assert f"predicts all {len(left_out)} collisions, each by a fit that did not use it" in table
+    assert row["result"] == "passed all tests"
 
 
 def test_the_model_reads_back_and_is_a_scene(written):
