@@ -120,7 +120,9 @@ def test_a_class_lists_its_fields_and_documents_its_properties():
 
 
 @pytest.mark.parametrize(("package", "name"), [p for p in PUBLIC if p[1] not in SILENT])
-def test_the_examples_of_the_docstrings_run(package, name):
+def test_the_examples_of_the_docstrings_run(package, name, monkeypatch):
+    """Of an experiment that is planned, one draw is looked at."""
+    monkeypatch.setattr("discrepancy.plan_experiment.count_draws", lambda _: 1)
     thing = getattr(import_module(package), name)
     tests = [t for t in doctest.DocTestFinder().find(thing, name) if t.examples]
     assert tests

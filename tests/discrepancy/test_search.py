@@ -244,7 +244,7 @@ def test_the_order_of_the_clips_does_not_matter(monkeypatch):
     assert one["gap"] == pytest.approx(other["gap"], rel=1e-4)
 
 
-@pytest.mark.parametrize("truth", [0.05, 0.0])
+@pytest.mark.parametrize("truth", [0.05, pytest.param(0.0, marks=pytest.mark.gate)])
 def test_an_effect_in_the_model_with_a_wrong_strength_is_named_again(monkeypatch, truth):
     only(monkeypatch)
     wrong = Model().replace({"velocity_restitution.e": 0.03})

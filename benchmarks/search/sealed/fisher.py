@@ -73,6 +73,7 @@ class Fisher:
     def __init__(self, model: Model, rows: Sequence[Rows], noise: Noise, each: Sequence[str] = ()) -> None:
         """each: base parameters that are another number in each clip."""
         self.model, self.rows = model, rows
+        self._columns: dict[Effect, Array] = {}  # signatures, each of an effect with one small strength
         self.launches = np.array([r.launch for r in rows])
         self.roots = [np.linalg.inv(np.linalg.cholesky(noise.covariance(r))) for r in rows]
         self.plain = self._tracks(model)
@@ -187,9 +188,13 @@ class Fisher:
         return out
 
     def _along(self, effect: type[Effect], strength: str, scale: float, shapes: dict[str, float]) -> Array:
+        """The signature of one strength of an effect; it is computed once for all effects that are compared with it."""
         own = {k.rpartition(".")[2]: v for k, v in shapes.items() if k.startswith(effect.name() + ".")}
         nudged = dataclasses.replace(effect.absent(), **own | {strength: 0.01 * scale})
-        try:
-            return self.signature(dataclasses.replace(self.model, effects=(*self.model.effects, nudged)))
-        except (ValueError, InputError):  # no motion; or a camera file without a lamp
-            return np.zeros(1)
+        if nudged not in self._columns:
+            try:
+                column = self.signature(dataclasses.replace(self.model, effects=(*self.model.effects, nudged)))
+            except (ValueError, InputError):  # no motion; or a camera file without a lamp
+                column = np.zeros(1)
+            self._columns[nudged] = column
+        return self._columns[nudged]

@@ -106,7 +106,7 @@ def observe_gas(
     Examples
     --------
     >>> import synthcam, tracker
-    >>> clip = synthcam.Scene.read("tray", timing={"frames": 50}).draw(seed=1)
+    >>> clip = synthcam.Scene.read("tray", timing={"frames": 20}).draw(seed=1)
     >>> table = clip.tracks[["frame", "particle"]].assign(x=clip.tracks.x_mean_px, y=clip.tracks.y_mean_px)
     >>> gas = tracker.observe_gas(tracker.measure(table, clip.camera_json))
     >>> first = clip.tracks[clip.tracks.frame == 0][["vx", "vy"]].var(ddof=1).mean()

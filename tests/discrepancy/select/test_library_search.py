@@ -270,7 +270,9 @@ def test_the_error_of_a_law_with_a_kink_reaches_to_its_other_minima(monkeypatch)
     assert off < 2 * named.std["ball_friction.share"]
 
 
-@pytest.mark.parametrize("rise", [0.02, 0.3, 1.5])
+@pytest.mark.parametrize(
+    "rise", [pytest.param(0.02, marks=pytest.mark.gate), 0.3, pytest.param(1.5, marks=pytest.mark.gate)]
+)
 def test_the_error_of_a_law_without_a_kink_is_that_of_its_one_minimum(monkeypatch, rise):
     few(monkeypatch, ("stribeck",))
     clips, base, noise = started(Model().replace({"stribeck.rise": rise, "stribeck.slip": 0.1}), count=12)

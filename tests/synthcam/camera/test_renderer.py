@@ -27,7 +27,7 @@ def collision(times):
     return np.stack([struck, striker], axis=1)
 
 
-@pytest.mark.parametrize("line", [1e-6, 2e-5])
+@pytest.mark.parametrize("line", [pytest.param(1e-6, marks=pytest.mark.gate), 2e-5])
 @pytest.mark.parametrize("depth", [0.0, 0.3])
 def test_each_row_is_exposed_in_its_own_time(line, depth):
     lamp = replace(LAMP, flicker=Flicker(depth, 120.0, 1.0))

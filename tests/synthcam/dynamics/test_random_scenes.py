@@ -47,7 +47,7 @@ def test_the_book_of_energy_is_kept_with_air_too(effect, wrong, random_scenes):
     assert random_scenes.wrong(random_scenes.run(model, launch, 0.3)) == wrong
 
 
-@pytest.mark.parametrize("start", [20_000, 20_030])
+@pytest.mark.parametrize("start", [20_000, pytest.param(20_030, marks=pytest.mark.gate)])
 def test_random_runs(start, random_scenes):
     for seed in range(start, start + 30):
         row = random_scenes.one(seed)

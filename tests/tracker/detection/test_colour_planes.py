@@ -48,7 +48,7 @@ def test_a_shadow_hardly_shows_beside_a_ball(name):
 
 
 @pytest.mark.parametrize(("ball", "people"), [
-    (ORANGE, ()), (ORANGE, ((hand, SKIN),)), (ORANGE, ((cue, WOOD),)),
+    *(pytest.param(ORANGE, people, marks=pytest.mark.gate) for people in ((), ((hand, SKIN),), ((cue, WOOD),))),
     ((190.0, 40.0, 60.0), ((hand, SKIN), (cue, WOOD))),
 ])  # fmt: skip
 def test_shadows_hands_and_cues_are_no_balls(ball, people):

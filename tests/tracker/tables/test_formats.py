@@ -85,6 +85,7 @@ FORMATS = {
 }
 
 
+@pytest.mark.usefixtures("not_local")
 @pytest.mark.parametrize("name", FORMATS)
 def test_the_same_is_measured(name, rows, camera, measured, tmp_path):
     write, wishes = FORMATS[name]

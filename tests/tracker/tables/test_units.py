@@ -179,7 +179,7 @@ def test_who_strikes_is_asked_at_once(tmp_path):
 
 
 @pytest.mark.usefixtures("not_local")
-@pytest.mark.parametrize("factor", [0.02, 0.05, 0.1, 0.3])
+@pytest.mark.parametrize("factor", [0.02, *(pytest.param(k, marks=pytest.mark.gate) for k in (0.05, 0.1)), 0.3])
 def test_ok_is_never_without_a_value(factor):
     """Whatever the unit is taken for: `ok` has at least one of v0, b, r, mu_k, C."""
     import synthcam

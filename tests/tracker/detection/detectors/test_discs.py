@@ -147,7 +147,7 @@ def test_what_one_detector_misses_is_left_to_the_other(monkeypatch):
     )
 
 
-@pytest.mark.parametrize("lit", [False, True])
+@pytest.mark.parametrize("lit", [pytest.param(False, marks=pytest.mark.gate), True])
 def test_the_coarse_search_finds_what_the_search_of_whole_frames_finds(monkeypatch, lit):
     """Plain discs, and lit spheres with shadows, which touch as they collide."""
     rng, ways = np.random.default_rng(3), collision(14, 6)

@@ -36,7 +36,7 @@ def slopes(monkeypatch):
     return found
 
 
-@pytest.mark.parametrize("k", [-0.05, 0.05])
+@pytest.mark.parametrize("k", [pytest.param(-0.05, marks=pytest.mark.gate), 0.05])
 def test_one_step_finds_a_small_slope_and_what_it_does_to_the_quantities(slopes, k):
     """A slide by mu (1 + k u) is shorter than one by mu, which no shift of the fitted parameters says."""
     for number in range(4):
