@@ -218,7 +218,7 @@ class CandidateSearch:
         """Indices (k,) of the pixels whose box sum above `floor` exceeds the threshold, and these sums."""
         if self.cut_sums is not None:
             np.greater(self.cut_sums(frame, floor), np.uint8(self.threshold), out=self.over)
-            hits = np.flatnonzero(self.over.ravel())
+            hits = _find_few(self.over.ravel())
             return hits, self.cut_sums.whole(*np.divmod(hits, frame.shape[1]))
         lifted = cv2.subtract(frame, floor, dst=self.lifted)
         box, edge = (self.box, self.box), cv2.BORDER_REFLECT
@@ -229,17 +229,26 @@ class CandidateSearch:
     def _strongest(self, columns: Ints, rows: Ints, values: Array) -> Candidates:
         """The strongest pixels, each farther than `apart` from a stronger one; rows ascend."""
         free, chosen = np.ones(len(values), dtype=np.bool_), list[int]()
-        first = np.searchsorted(rows, rows - self.apart)
-        last = np.searchsorted(rows, rows + self.apart, side="right")
         for best in np.argsort(-values, kind="stable").tolist():  # the first of equals
-            if len(chosen) == self.most or values[best] <= 0:
-                break
-            if free[best]:
+            if free[best]:  # false of most
+                if len(chosen) == self.most or values[best] <= 0:
+                    break
                 chosen.append(best)
-                band = slice(first[best], last[best])
+                ends = math.ceil(rows[best] - self.apart), math.floor(rows[best] + self.apart) + 1
+                band = slice(*rows.searchsorted(ends).tolist())
                 across, down = columns[band] - columns[best], rows[band] - rows[best]
                 free[band] &= across * across + down * down > self.apart**2
         return Candidates(columns[chosen], rows[chosen], values[chosen] - self.base)
+
+
+def _find_few(flags: NDArray[np.bool_]) -> Ints:
+    """Find the true flags (n,), of which there are few, in less than half the time of np.flatnonzero."""
+    whole = len(flags) // 8 * 8
+    words = np.flatnonzero(flags[:whole].view(np.uint64) != 0)
+    bytes_in = (words[:, None] * 8 + np.arange(8)).ravel()
+    rest = np.arange(whole, len(flags))
+    at = np.concatenate([bytes_in, rest])
+    return np.asarray(at[flags[at]])
 
 
 def estimate_coarse_positions(windows: Array, half: int) -> Array:

@@ -54,3 +54,25 @@ def test_candidates_in_bytes_are_those_in_words(sigma):
     assert len(one.row) >= 4
     for name in ("column", "row", "strength"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+@pytest.mark.parametrize("shape", [(90, 104), (91, 97)])
+def test_candidates_are_the_strongest_of_all_box_sums_in_their_order(shape):
+    """Found again by sums over each box and by comparing all with all."""
+    rng, level, apart, kept = np.random.default_rng(sum(shape)), 10, 9.0, 4
+    frame = (level + rng.integers(0, 3, shape)).astype(np.uint8)
+    for row, column in rng.integers(0, shape, (5, 2)):
+        frame[row, column] += 60
+    frame[:30, :20] = level  # equal sums, of which the first counts
+    frame[[10, 19, -1], [10, 10, -1]] += 100  # two in one column at the distance, and one at the end
+    search = CandidateSearch(EmptyPlate(np.full(shape, level, np.uint8), 1.0), 1.0, apart, most=kept)
+    found = search(frame)
+    lifted = np.pad(frame.astype(int) - search.floor, 1, mode="symmetric")
+    sums = np.lib.stride_tricks.sliding_window_view(lifted, (3, 3)).sum(axis=(2, 3))
+    wanted = []
+    for at in sorted(zip(*np.nonzero(sums > search.threshold), strict=True), key=lambda at: (-sums[at], at)):
+        if len(wanted) < kept and all(np.hypot(at[0] - row, at[1] - column) > apart for row, column in wanted):
+            wanted.append(at)
+    assert list(zip(found.row, found.column, strict=True)) == wanted
+    assert len(wanted) == kept
+    assert np.array_equal(found.strength, [sums[at] - search.base for at in wanted])
