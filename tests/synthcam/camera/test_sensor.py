@@ -210,3 +210,23 @@ def test_plates_in_changing_light_keep_their_tables(monkeypatch):
     for level in np.linspace(0.02, 0.05, 8):
         chip.expose(flat(level), 1, 0)
     assert 1 < sum(len(b.groups) for b in chip._backgrounds) <= 4
+
+
+@pytest.mark.parametrize(("bits", "black"), [(8, 8.0), (8, 0.0), (10, 8.0)])
+def test_each_random_number_selects_its_cell_and_the_outer_ones_a_second_number(bits, black):
+    """Without light: the table's counts, looked up one after the other, also among many zeros."""
+    size, gain, read = (257, 131), 20.0 / (1 + 3 * (bits > 8)), 20.0
+    sensor = Sensor(bits=bits, gain=gain, black_level=black, prnu=0.0, read_noise=read)
+    chip, plate = SensorChip(sensor, size, 5e-4, root_seed=15), np.zeros(size[::-1], np.float32)
+    middle, outer = (np.float32(table / gain) for table in module.tabulate_noise(0.0, read))
+    level = np.float32(chip.offset / gain + black).ravel()
+    second_numbers = 0
+    for frame in range(12):
+        rng = module._generator(15, (4, 1, frame))
+        cells = rng.bit_generator.random_raw(-(-level.size // 4)).view("<u2")[: level.size]
+        noise, rare = middle[cells], np.flatnonzero((cells == 0) | (cells == 65535))
+        noise[rare] = outer[(cells[rare] > 0).astype(int), rng.integers(0, 65536, len(rare))]
+        wanted = np.clip(np.rint(noise + level), 0, 2**bits - 1).reshape(plate.shape)
+        np.testing.assert_array_equal(chip.expose(Picture(plate, (), ()), 4, frame), wanted)
+        second_numbers += len(rare)
+    assert second_numbers > 4
