@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synthcam_shared.arrays import Array
+from synthcam_shared.arrays import Array, list_gauss_nodes
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Disc:
 
     def hide_sky(self, distances: Array) -> Array:
         """Find the form factor (n,) of the disc for the plate at these distances from its axis: half at its foot."""
-        nodes, weights = np.polynomial.legendre.leggauss(12)
+        nodes, weights = list_gauss_nodes(12)
         grid = 1 + np.linspace(0, 1, 257) ** 2 * (max(float(distances.max(initial=0)) / self.radius, 1.001) - 1)
         widest = np.arcsin(1 / grid)[:, None]
         angle = widest * (nodes + 1) / 2

@@ -6,14 +6,14 @@ ball at rest at the world's origin, and lies on a pixel's centre.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from scipy.special import ndtr
 
 from synthcam.camera.pinhole import PinholeCamera
-from synthcam_shared.arrays import Array, Float32, Index
+from synthcam_shared.arrays import Array, Float32, Index, list_gauss_nodes
 
 Box = tuple[slice, slice]
 
@@ -74,7 +74,7 @@ def place_sub_exposures(
     middles, halves = bounds.mean(axis=1), np.diff(bounds, axis=1)[:, 0] / 2
     times, parts = [np.zeros(0)], [np.zeros(0)]
     for middle, half, weight, n in zip(middles, halves, weights, counts.tolist(), strict=True):
-        nodes, shares = _gauss_legendre(n)
+        nodes, shares = list_gauss_nodes(n)
         times.append(middle + half * nodes)
         parts.append(weight / 2 * shares)
     return SubExposures(np.concatenate(times), np.concatenate(parts), np.repeat(frames, counts))
@@ -104,9 +104,6 @@ def merge_sub_exposures(
     middle = np.repeat(mean(pixels), np.diff(np.append(first, len(key))), axis=0)
     merged = SubExposures(mean(moments.times), weights, moments.frames[first])
     return merged, mean(positions), mean((pixels - middle) ** 2)
-
-
-_gauss_legendre = cache(np.polynomial.legendre.leggauss)
 
 
 def integrate_spots(pixels: Array, variances: Array, origins: Array, width: int, steps: int = 1) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ import numpy as np
 from synthcam.dynamics.collocation import evaluate_series, make_matrices, multiply_on_nodes, resample_on_nodes
 from synthcam.dynamics.kinematics import fly, plate_state
 from synthcam.model import Bodies
-from synthcam_shared.arrays import Array, Flags, Index
+from synthcam_shared.arrays import Array, Flags, Index, list_gauss_nodes
 
 NEGLIGIBLE_M = 1e-16  # coefficients of all balls that together are smaller are left out
 Pieces = Sequence[tuple[Array, Array]]
@@ -181,7 +181,7 @@ def _norms(coefficients: Array) -> Array:
 
 def average_by_quadrature(places: Callable[[Array], Array], middle: Array, wide: Any) -> Array:
     """Average integrated positions (2, m, times) over spans of the width `wide` about `middle`: (2, m, k)."""
-    nodes, weights = np.polynomial.legendre.leggauss(4)  # exact for a parabola, 1e-15 m for a roll
+    nodes, weights = list_gauss_nodes(4)  # exact for a parabola, 1e-15 m for a roll
     if np.ndim(wide) == 0 and wide == 0:
         return places(middle)
     times = middle[:, None] + nodes[:, None] * (np.asarray(wide) / 2 + 0 * middle)[:, None]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.model import SOLID_BALL
-from synthcam_shared.arrays import Array
+from synthcam_shared.arrays import Array, list_gauss_nodes
 
 Real = Any  # a float or an array
 State = tuple[Real, ...]  # nine of them
@@ -104,7 +104,7 @@ def _turning_path(drag: float, slowing: float, curl: float, t: Array) -> NDArray
         one, two = np.expm1(turn * t) / turn, np.expm1(fade * t) / fade
         return np.asarray(two - slowing * (one - two) / drag)
     panels = 1 + int(abs(curl) * np.abs(t).max(initial=0.0) / 10)
-    nodes, weights = np.polynomial.legendre.leggauss(24)
+    nodes, weights = list_gauss_nodes(24)
     shares = ((np.arange(panels)[:, None] + (1 + nodes) / 2) / panels).ravel()
     times = t[..., None] * shares
     decay, _ = integrate_drag(drag, times)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from synthcam.dynamics import kinematics
 from synthcam.dynamics.kinematics import Real, State
-from synthcam_shared.arrays import Array, Index
+from synthcam_shared.arrays import Array, Index, list_gauss_nodes
 
 ArrayFunction = Callable[[Array], Array]
 Motion = Literal["rest", "roll", "slide", "fly", "glide", "push"]
@@ -352,7 +352,7 @@ def average_over_spans(at: ArrayFunction, breaks: Array, spans: Array, of: Array
 
 def _average_smooth(at: ArrayFunction, spans: Array, of: ArrayFunction, count: int) -> Array:
     """Average over smooth spans (n, 2) by Gauss quadrature with `count` nodes: (balls, n, k)."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes, weights = list_gauss_nodes(count)
     times = spans.mean(axis=1)[:, None] + np.diff(spans) / 2 * nodes
     values = of(at(times.ravel()))
     values = values.reshape(len(values), *times.shape, values.shape[-1])

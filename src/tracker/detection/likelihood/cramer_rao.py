@@ -7,13 +7,12 @@ exposure. Fisher information: F_ab = sum_i J(m_i) d_a m_i d_b m_i over the pixel
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, ndtr
 
-from synthcam_shared.arrays import Array
+from synthcam_shared.arrays import Array, list_gauss_nodes
 from tracker.camera.camera import Camera
 from tracker.camera.sensor import SensorSpec
 
@@ -29,11 +28,6 @@ class GlintShape:
     by_y: Array
 
 
-@lru_cache(maxsize=256)
-def _legendre(count: int) -> tuple[Array, Array]:
-    return np.polynomial.legendre.leggauss(count)
-
-
 def compute_glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> GlintShape:
     """Compute the pixel model of glints of unit flux: Gaussians integrated over the pixels of square windows.
 
@@ -42,7 +36,7 @@ def compute_glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> Gli
     """
     # Gauss-Legendre nodes (n, k, 2), px, along the lines of motion, and their weights (k,)
     longest = float(np.max(np.hypot(blurs[:, 0], blurs[:, 1]), initial=0.0))
-    nodes, weights = _legendre(1 if longest < 0.02 * sigma else 2 + math.ceil(0.8 * longest / sigma))
+    nodes, weights = list_gauss_nodes(1 if longest < 0.02 * sigma else 2 + math.ceil(0.8 * longest / sigma))
     offsets, weights = 0.5 * nodes[:, None] * blurs[:, None, :], weights / 2.0
     edges = np.arange(-half, half + 2) - 0.5
     u = (edges - (xy[:, None, :] + offsets)[..., None]) / sigma  # (n, k, axis, edge)
