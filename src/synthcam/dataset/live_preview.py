@@ -16,7 +16,7 @@ import yaml
 from pydantic import Field
 
 from synthcam.dataset.labelled_frames import encode_png
-from synthcam.dataset.preview import show_on_screen
+from synthcam.dataset.preview import find_telling_frame, show_on_screen
 from synthcam.scene.clip import Clip
 from synthcam.scene.distribution import parse_distribution
 from synthcam.scene.materials import is_under_room_light
@@ -34,7 +34,7 @@ class PreviewRequest(Settings):
     """One line of a request; without `scene` it asks for the names of the scenes.
 
     - values: of sliders, by their names; seed: of everything random
-    - frame: None for the last frame before the first contact
+    - frame: None for the last frame before the first contact, or the middle one without a contact
     - sharp: in full size, whatever time it takes
     """
 
@@ -73,9 +73,7 @@ def answer_request(values: Any) -> dict[str, Any]:
     times = np.unique(np.linspace(0, clip.frames - 1, FRAMES_OF_PATHS).round()) / clip.camera.fps
     paths = [clip.camera.project(path).astype(float).tolist() for path in clip.view.at(times)[:, :, :3]]
     shown = clip if sharp else _reduce_camera(moved.settings, clip, request.seed)
-    hit = clip.view.motion.first("contact")
-    when = hit.t - clip.camera.exposure if hit else 0.5 * clip.frames / clip.camera.fps
-    k = min(max(int(when * clip.camera.fps), 0) if request.frame is None else request.frame, clip.frames - 1)
+    k = find_telling_frame(clip) if request.frame is None else min(request.frame, clip.frames - 1)
     picture = show_on_screen(shown.sketch(k, quick=not request.sharp), shown)
     return {
         "picture": base64.b64encode(encode_png(picture, compression=1)).decode(),

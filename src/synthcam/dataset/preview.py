@@ -46,18 +46,24 @@ def mark_picture(data: bytes, suffix: str) -> bytes:
     return data + struct.pack(">I", 8 + len(MARK)) + b"free" + MARK
 
 
+def find_telling_frame(clip: Clip) -> int:
+    """Find the frame that a preview shows: the last before the first contact, or the middle one without a contact."""
+    hit = clip.view.motion.first("contact")
+    if hit is None:
+        return clip.frames // 2
+    return min(max(int((hit.t - clip.camera.exposure) * clip.camera.fps), 0), clip.frames - 1)
+
+
 def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> None:
     """Preview one frame of a clip as a PNG.
 
-    frame: its number; None: the last frame before the contact. magnify: above 0, the balls that hit first are shown
+    frame: its number; None: as `find_telling_frame` says. magnify: above 0, the balls that hit first are shown
     below the frame, at most so many times larger, with dark parts brightened.
     """
     check_picture_output(path, "synthcam preview")
     if frame is not None and not 0 <= frame < clip.frames:
         raise InputError(f"--frame {frame}: expected 0 to {clip.frames - 1}; the clip has {clip.frames} frames")
-    hit = clip.view.motion.first("contact")
-    when = (hit.t if hit else 0.5 * clip.frames / clip.camera.fps) - clip.camera.exposure
-    k = min(max(int(when * clip.camera.fps), 0), clip.frames - 1) if frame is None else frame
+    k = find_telling_frame(clip) if frame is None else frame
     counts = next(itertools.islice(clip.pictures(max(k, 1)), min(k, 1), None))
     picture = _eight_bits(counts, clip)
     if magnify:

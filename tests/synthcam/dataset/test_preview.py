@@ -11,7 +11,7 @@ from synthcam_stub import film, plan
 
 from synthcam.dataset import preview
 from synthcam.scene.clip import Clip
-from synthcam.scene.scene import check_scene
+from synthcam.scene.scene import Scene, check_scene
 from synthcam_shared.errors import InputError
 
 
@@ -155,3 +155,15 @@ def test_a_gif_on_a_full_disk_leaves_nothing_and_says_no_more(clip, tmp_path):
 
 def first(frames, count):
     return (frame for frame, _ in zip(frames, range(count), strict=False))
+
+
+@pytest.mark.parametrize("frames", [40, 41])
+def test_the_frame_that_a_preview_shows(frames):
+    """The last that ends before the contact; without a contact the middle one."""
+    hits = plan().clip(1)
+    k, hit = preview.find_telling_frame(hits), hits.view.motion.first("contact")
+    ends = (k + np.arange(2)) / hits.camera.fps + hits.camera.exposure
+    assert ends[0] <= hit.t < ends[1]
+    rolls = Scene.read("single_roller", timing={"frames": frames, "contact_frame": 10}).draw()
+    assert rolls.view.motion.first("contact") is None
+    assert preview.find_telling_frame(rolls) == 20
