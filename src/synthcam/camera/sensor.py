@@ -172,8 +172,8 @@ class _Background:
             for members, body, _ in self.groups:
                 noise[members] = body[cells[members]]
         kind = cv2.CV_8U if bits <= 8 else cv2.CV_16U
-        counts: Any = cv2.add(noise.reshape(shape), self.level, dtype=kind)  # rounds half to even and saturates
-        counts = np.asarray(counts if bits in (8, 16) else np.minimum(counts, (1 << bits) - 1))
+        sums: Any = cv2.add(noise.reshape(shape), self.level, dtype=kind)  # rounds half to even and saturates
+        counts: Counts = np.asarray(sums if bits in (8, 16) else np.minimum(sums, (1 << bits) - 1))
         self._draw_tails(counts.ravel(), cells, rng)
         return counts
 
