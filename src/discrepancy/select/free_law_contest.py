@@ -28,6 +28,7 @@ from discrepancy.select.library_search import (
     iterate_models,
     make_selection,
     search_from,
+    search_from_other_effects,
 )
 from discrepancy.select.model_cost import compute_cost
 from discrepancy.select.score_test import CandidateScore, ScoreTests
@@ -37,7 +38,8 @@ def select_effects_and_law(library: LibraryFits) -> Selection:
     """Select effects of the library, and a free law if one explains more.
 
     Each larger model of the library competes with the free laws. The library's search ends when a free law beats two of
-    its models in a row. So the library may add one more effect to catch up with the law.
+    its models in a row. So the library may add one more effect to catch up with the law. Where its last model is poor,
+    the search begins again from other effects (`search_from_other_effects`).
     """
     laws = FreeLawFits(library.evidence, library.base)
     state: State = ()
@@ -47,6 +49,10 @@ def select_effects_and_law(library: LibraryFits) -> Selection:
         beaten = beaten + 1 if is_beaten_by_law(opponent, laws) else 0
         if beaten > 1:
             break
+    begun_elsewhere = search_from_other_effects(library, state)
+    if begun_elsewhere != state:
+        state = begun_elsewhere
+        opponent = laws.challenge(library.fit(state), library.rivals(state))
     selection = make_selection(library, state)
     opponent = dataclasses.replace(opponent, fit=selection.best)
     free_law = find_winning_law(laws, opponent)

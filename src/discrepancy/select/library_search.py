@@ -1,6 +1,7 @@
 """Search the library for missing effects: add, drop and exchange effects until no model is better.
 
-This is forward selection with exchange. Models are compared by `model_cost.compute_cost`.
+This is forward selection with exchange. Models are compared by `model_cost.compute_cost`. Where the search ends far
+from the noise, it begins again from other effects.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from synthcam.model import Model
 
 SCORE_ERROR_SHARE = 0.2  # beside SCORE_ERROR_CHI2, a score test may be wrong by this share of what the effect explains
 MAX_EXCHANGES = 4  # rivals of one effect that are fitted instead of it
+MAX_STARTS = 4  # effects that a search which explains too little begins with
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,61 @@ def complete_search(library: LibraryFits, begun: State) -> State:
     """Complete a search of the library from a model; if no model follows, drop effects that are not significant."""
     state = [begun, *iterate_models(library, begun)][-1]
     return improve_until_stable(library, state) if state == begun else state
+
+
+def search_from_other_effects(library: LibraryFits, found: State) -> State:
+    """Search again from other first effects, if the model that was found leaves much more than noise.
+
+    Forward selection can end at a local minimum: the effect that is added first may be wrong, and hide what is right.
+    As multi-start local search does (Marti, Resende & Ribeiro, Eur. J. Oper. Res. 226 (2013) 1), the search is then
+    repeated from several starts. It returns the model of least cost. A larger model than `found` must cost less by
+    `SearchPolicy.rival_excluded_chi2`.
+
+    The starts are the `choose_starts` of the base model, those of least cost first. A start that an exchange leads to a
+    model from which the search went on before is skipped. The search ends with the first model that leaves at most
+    `SearchPolicy.poor_chi2_per_point`.
+
+    No candidate is tested that the search without these starts would not test. So the level that corrects for the
+    number of candidates also holds for the best of all starts.
+    """
+    best, ends = found, {frozenset(found)}
+    for start in choose_starts(library) if is_poor(library, found) else ():
+        begun = improve_until_stable(library, (start,))
+        if frozenset(begun) in ends:
+            continue
+        end = complete_search(library, begun)
+        ends |= {frozenset(begun), frozenset(end)}
+        required = current_policy().rival_excluded_chi2 if len(end) > len(found) else 0.0
+        if library.cost_of(end) < min(library.cost_of(best), library.cost_of(found) - required):
+            best = end
+        if not is_poor(library, best):
+            break
+    return best
+
+
+def is_poor(library: LibraryFits, state: State) -> bool:
+    """Tell if a model leaves so much chi^2 per point that it does not describe the collisions."""
+    fit = library.fit(state)
+    return fit.chi2 / fit.points > current_policy().poor_chi2_per_point
+
+
+@in_stage("search")
+def choose_starts(library: LibraryFits) -> list[Candidate]:
+    """Choose effects from which a search may begin, each fitted beside the base; that of least cost comes first.
+
+    They are the significant candidates that explain most to first order, and that are no aliases of one another.
+    Candidates that show only at unrealistic sizes count too: the realistic ones have failed.
+    """
+    starts = list[CandidateScore]()
+    for scored in sorted(library.ranking, key=lambda c: -c.gain):
+        if scored.sigma <= library.required_sigma or scored.absorbed or len(starts) == MAX_STARTS:
+            continue
+        if all(largest_cosine(scored.signature, s.signature) < current_policy().alias_cosine for s in starts):
+            starts.append(scored)
+    for scored in starts:
+        if library.needs_fit(key := frozenset({scored.candidate}), library.base):
+            library.extend(key, library.base, scored)
+    return sorted((s.candidate for s in starts), key=lambda c: library.cost_of([c]))
 
 
 def search_from(library: LibraryFits, found: Selection, effects: Iterable[str], model: Model) -> Selection | None:

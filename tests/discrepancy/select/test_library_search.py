@@ -15,9 +15,11 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates, list_names_to_fit
 from discrepancy.noise.model import estimate_noise
-from discrepancy.policy import current_policy
+from discrepancy.policy import SearchPolicy, applied_policy, current_policy
+from discrepancy.select.free_law_contest import select_effects_and_law
 from discrepancy.select.library_search import (
     choose_simplest,
+    choose_starts,
     complete_search,
     describe_claims,
     find_undetectable,
@@ -26,6 +28,7 @@ from discrepancy.select.library_search import (
     iterate_models,
     make_selection,
     search_from,
+    search_from_other_effects,
 )
 from synthcam.library import library
 from synthcam.model import Model
@@ -132,6 +135,36 @@ def test_a_search_goes_on_from_other_effects(monkeypatch):
     assert [s.name for s in again.state] == ["rolling_quadratic", "velocity_restitution"]
     assert again.best.chi2 < found.best.chi2 - 50
     assert search_from(steps, again, ["velocity_restitution"], truth) is None  # comes to the same
+
+
+@cache
+def lens_beyond_realistic_sizes():
+    """A lens term that shows only at sizes that count as unrealistic, beside a tilt that explains 0.5 % of it."""
+    with pytest.MonkeyPatch.context() as patch, applied_policy(SearchPolicy(max_detection_limit=0.05)):
+        only(patch, ["force_place"], **{n: library()[n] for n in ("plate_tilt", "lens_distortion")})
+        clips, base, noise = started(Model().replace({"lens_distortion.k1": 1.0}))
+        steps = library_fits(clips, base, noise)
+        return steps, [(), *iterate_models(steps)][-1], select_effects_and_law(steps), choose_starts(steps)
+
+
+def test_a_search_that_explains_too_little_begins_again_from_other_effects():
+    steps, stopped, found, starts = lens_beyond_realistic_sizes()
+    assert stopped == ()  # forward selection alone ends here
+    assert steps.ranking[0].effect == "plate_tilt"
+    assert [s.name for s in starts] == ["lens_distortion", "plate_tilt"]  # by the cost of their fits
+    assert [s.name for s in found.state] == ["lens_distortion"]
+    assert found.free_law is None
+    assert found.best.model.value("lens_distortion.k1") == pytest.approx(
+        1.0, abs=4 * found.best.std["lens_distortion.k1"]
+    )
+
+
+def test_other_starts_are_tried_only_where_much_is_missing(monkeypatch):
+    few(monkeypatch)
+    clips, base, noise = started(Model().replace({"velocity_restitution.e": 0.01}))
+    steps, found = selected(clips, base, noise)
+    monkeypatch.setattr("discrepancy.select.library_search.choose_starts", lambda library: pytest.fail("not needed"))
+    assert search_from_other_effects(steps, found.state) is found.state
 
 
 def test_a_wrong_beginning_is_shed_and_what_is_not_claimed_dropped(monkeypatch):
