@@ -15,11 +15,10 @@ from discrepancy.data.stretches import cut_stretches
 from discrepancy.data.study_design import split_held_out
 from discrepancy.data.track_checks import covers_contact, remove_filtered_rows
 from discrepancy.fitting.base_fit import fit_base_model, remove_outliers_beside_model
-from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.noise_refit import refit_noise
 from discrepancy.fitting.stretch_scatter import NO_SCATTER, StretchScatter, fit_scatter
-from discrepancy.fitting.stretch_starts import choose_starts
+from discrepancy.fitting.stretch_starts import choose_starts, fit_launches
 from discrepancy.noise.error_trends import remove_frame_shift, rescale_errors
 from discrepancy.noise.model import Noise, estimate_noise
 from discrepancy.policy import current_policy
@@ -62,7 +61,7 @@ class SearchData:
         launches = np.array([clip.launch for clip in self.held_out])
         if not scatter.is_none:
             with suppress(ValueError):  # the model has no motion for one of them
-                launches = fit_model(self.held_out, fit.model, (), self.noise).launches
+                launches = fit_launches(self.held_out, fit.model, self.noise).launches
         held_out = scatter.add_to(self.held_out, fit.model, launches)
         return replace(self, clips=tuple(clips), held_out=tuple(held_out), scatter=scatter)
 

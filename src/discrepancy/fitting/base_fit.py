@@ -12,9 +12,10 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C, V0, B, allow_side_spin
 from discrepancy.data.outlier_points import remove_outliers
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import list_names_to_fit
 from discrepancy.fitting.predict import predict_tracks
+from discrepancy.fitting.stretch_starts import fit_launches, leave_local_minima
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
 from discrepancy.time_left import in_stage
@@ -67,9 +68,11 @@ def fit_base_model(clips: Sequence[MeasuredCollision], model: Model, noise: Nois
         names = tuple(name for name in names if name not in impact_parameters)
     try:
         found = fit_model(clips, model, names, noise)
+        if free:
+            return leave_local_minima(WhitenedClips.of(clips, noise), found)
     except ValueError as e:
         raise InputError(f"the model has no motion for these collisions: {e}") from None
-    if found.chi2 > poor * (found.points - found.parameters) and "sliding_friction" in names and not free:
+    if found.chi2 > poor * (found.points - found.parameters) and "sliding_friction" in names:
         with suppress(ValueError):
             again = fit_model(clips, _rescale_friction(clips, model), names, noise)
             return min(found, again, key=lambda f: f.chi2)
@@ -87,7 +90,7 @@ def remove_outliers_beside_model(
     every, places = [*clips, *kept_out], base.launches
     with suppress(ValueError):  # the model has no motion for one of them
         if kept_out:
-            places = np.concatenate([places, fit_model(kept_out, base.model, (), CLAIMED_NOISE).launches])
+            places = np.concatenate([places, fit_launches(kept_out, base.model, CLAIMED_NOISE).launches])
     predicted = every[: len(places)]
     kept = [*remove_outliers(predicted, predict_tracks(base.model, places, predicted)), *every[len(places) :]]
     return kept[: len(clips)], kept[len(clips) :]

@@ -14,23 +14,27 @@ import numpy as np
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, SLIP, T_C, V0, X, Y
 from discrepancy.data.notes import SearchNote, SearchNoteKind
-from discrepancy.fitting.gauss_newton import STEP_ERRORS, fit_model
+from discrepancy.fitting.gauss_newton import STEP_ERRORS, fit_model, minimise_chi2
+from discrepancy.fitting.jacobian import linearise
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.noise.model import Noise, NoiseComponent
+from discrepancy.policy import current_policy
 from synthcam.model import Model
 from synthcam_shared.arrays import Array
 
+SLIDES = (0.2, 0.5, 0.9)  # shares of a stretch for which its ball may slide
 LOSSES = ("sliding_friction", "rolling_decel", "rolling_drag")  # the first two that a model has are fitted
 
 
 def choose_starts(
-    clips: Sequence[MeasuredCollision], model: Model, slides: Sequence[float] = (0.2, 0.5, 0.9), most_chi2: float = 50.0
+    clips: Sequence[MeasuredCollision], model: Model, slides: Sequence[float] = SLIDES, most_chi2: float = 50.0
 ) -> tuple[list[MeasuredCollision], list[SearchNote]]:
     """Choose the start of each stretch, with the friction of the model; leave out those that do not move freely.
 
     The values of the model may be wrong. So friction and rolling loss are fitted before a stretch is left out. It stays
     if a friction and a loss of its own describe it.
 
-    slides: shares of a stretch for which its ball may slide. most_chi2: times the median, of a stretch that is used;
+    slides: see `SLIDES`. most_chi2: times the median, of a stretch that is used;
     it is large, since those that show a missing effect best must stay.
     Returns the stretches, and for each clip a note on those that are left out. Bodies glide if the model has no
     friction.
@@ -57,6 +61,54 @@ def choose_starts(
     return kept, notes
 
 
+def fit_launches(
+    clips: Sequence[MeasuredCollision], model: Model, noise: Noise, launches: Array | None = None
+) -> ModelFit:
+    """Fit the launches alone, by a model whose values stay; poor stretches from several starts.
+
+    launches: start of the fit, as in `fit_model`. Raises ValueError where the model has no motion for one of them.
+    """
+    whitened = WhitenedClips.of(clips, noise)
+    start = np.array([c.launch for c in clips] if launches is None else launches, dtype=float)
+    return leave_local_minima(whitened, minimise_chi2(whitened, linearise(whitened, model, (), start)))
+
+
+def leave_local_minima(whitened: WhitenedClips, fit: ModelFit, max_rounds: int = 3) -> ModelFit:
+    """Fit again from better starts of the stretches that are fitted poorly, until none is better.
+
+    `choose_starts` looks for the start of a stretch beside the given model. If that lacks much, a slide may begin where
+    a ball rolls. The fit then stays at a local minimum, also with the effect that was missing, and the effect seems to
+    explain little. A stretch counts as poor above `SearchPolicy.poor_chi2_per_point`. Whole collisions, and bodies that
+    never slide, have no such minima.
+    """
+    for _ in range(max_rounds):
+        launches = _find_better_launches(whitened, fit)
+        if launches is None:
+            break
+        fit = minimise_chi2(whitened, linearise(whitened, fit.model, fit.names, launches))
+    return fit
+
+
+def _find_better_launches(whitened: WhitenedClips, fit: ModelFit, least: float = 2.0) -> Array | None:
+    """Find launches of poor stretches that lower chi^2 by more than `least`, by the shared values of a fit."""
+    clips, most = whitened.clips, current_policy().poor_chi2_per_point
+    poor = [k for k, r in enumerate(fit.residuals) if clips[k].is_stretch and r @ r > most * len(r)]
+    if not (poor and fit.model.sliding_friction):
+        return None
+    some = WhitenedClips(tuple(clips[k] for k in poor), tuple(whitened.whiteners[k] for k in poor))
+    push = fit.model.sliding_friction * fit.model.gravity
+    tries = [np.array([_slide(clips[k], fit.launches[k], share, push) for k in poor]) for share in (0.0, *SLIDES)]
+    best = {k: float(fit.residuals[k] @ fit.residuals[k]) - least for k in poor}
+    launches = fit.launches.copy()
+    for start in [np.array([clips[k].launch for k in poor]), *tries]:
+        with suppress(*STEP_ERRORS):  # no motion from one of these starts
+            found = minimise_chi2(some, linearise(some, fit.model, (), start))
+            for k, r, own in zip(poor, found.residuals, found.launches, strict=True):
+                if r @ r < best[k]:
+                    best[k], launches[k] = float(r @ r), own
+    return launches if np.any(launches != fit.launches) else None
+
+
 def _fit_from_each(
     clips: Sequence[MeasuredCollision], model: Model, slides: Sequence[float], names: Sequence[str] = ()
 ) -> list[tuple[float, MeasuredCollision]]:
@@ -64,7 +116,10 @@ def _fit_from_each(
     tries = [[replace(clip, launch=_glide(clip)) for clip in clips]]
     if model.sliding_friction:
         push = model.sliding_friction * model.gravity
-        tries = [list(clips), *([replace(c, launch=_slide(c, share, push)) for c in clips] for share in slides)]
+        tries = [
+            list(clips),
+            *([replace(c, launch=_slide(c, c.launch, share, push)) for c in clips] for share in slides),
+        ]
     found = []
     for some in tries:
         with suppress(*STEP_ERRORS):  # no motion from one of these starts
@@ -74,9 +129,9 @@ def _fit_from_each(
     return [min(each, key=lambda pair: pair[0]) for each in zip(*found, strict=True)]
 
 
-def _slide(clip: MeasuredCollision, share: float, push: float) -> Array:
+def _slide(clip: MeasuredCollision, launch: Array, share: float, push: float) -> Array:
     """The launch of a ball that slides for a share of its stretch; push: the deceleration by sliding, m/s^2."""
-    launch, lasts = clip.launch.copy(), share * float(np.ptp(clip.frame)) / clip.fps
+    launch, lasts = launch.copy(), share * float(np.ptp(clip.frame)) / clip.fps
     slip_per_loss = 3.5  # a solid ball's slip ends at 7/2 of the deceleration of its centre
     slip = launch[SLIP]
     size = float(np.hypot(*slip))

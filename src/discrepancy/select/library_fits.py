@@ -15,6 +15,7 @@ from discrepancy.fitting.parameters import Candidate, find_parameter, parameter_
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.fitting.shape_scan import can_scan
 from discrepancy.fitting.significance import chi2_to_sigma
+from discrepancy.fitting.stretch_starts import leave_local_minima
 from discrepancy.policy import current_policy
 from discrepancy.select.model_cost import compute_cost
 from discrepancy.select.score_test import CandidateScore, ScoreTests
@@ -82,7 +83,7 @@ class LibraryFits:
         if key not in self.fits:
             self._keep(key, self._start_from_larger(key))
         if key not in self.done:
-            fit = minimise_chi2(self.evidence, self.fits[key])
+            fit = leave_local_minima(self.evidence, minimise_chi2(self.evidence, self.fits[key]))
             self._keep(key, self._escape_local_minimum(ordered, fit))
             self.done.add(key)
         return self.fits[key]

@@ -28,7 +28,7 @@ from synthcam.model import Model
 
 SCORE_ERROR_SHARE = 0.2  # beside SCORE_ERROR_CHI2, a score test may be wrong by this share of what the effect explains
 MAX_EXCHANGES = 4  # rivals of one effect that are fitted instead of it
-MAX_STARTS = 4  # effects that a search which explains too little begins with
+MAX_FIRST_EFFECTS = 4  # effects that a search which explains too little begins with
 
 
 @dataclass(frozen=True)
@@ -104,15 +104,14 @@ def search_from_other_effects(library: LibraryFits, found: State) -> State:
     repeated from several starts. It returns the model of least cost. A larger model than `found` must cost less by
     `SearchPolicy.rival_excluded_chi2`.
 
-    The starts are the `choose_starts` of the base model, those of least cost first. A start that an exchange leads to a
-    model from which the search went on before is skipped. The search ends with the first model that leaves at most
-    `SearchPolicy.poor_chi2_per_point`.
+    The starts are those of `choose_first_effects`. A start that an exchange leads to a model from which the search went
+    on before is skipped. The search ends with the first model that leaves at most `SearchPolicy.poor_chi2_per_point`.
 
     No candidate is tested that the search without these starts would not test. So the level that corrects for the
     number of candidates also holds for the best of all starts.
     """
     best, ends = found, {frozenset(found)}
-    for start in choose_starts(library) if is_poor(library, found) else ():
+    for start in choose_first_effects(library) if is_poor(library, found) else ():
         begun = improve_until_stable(library, (start,))
         if frozenset(begun) in ends:
             continue
@@ -133,7 +132,7 @@ def is_poor(library: LibraryFits, state: State) -> bool:
 
 
 @in_stage("search")
-def choose_starts(library: LibraryFits) -> list[Candidate]:
+def choose_first_effects(library: LibraryFits) -> list[Candidate]:
     """Choose effects from which a search may begin, each fitted beside the base; that of least cost comes first.
 
     They are the significant candidates that explain most to first order, and that are no aliases of one another.
@@ -141,7 +140,7 @@ def choose_starts(library: LibraryFits) -> list[Candidate]:
     """
     starts = list[CandidateScore]()
     for scored in sorted(library.ranking, key=lambda c: -c.gain):
-        if scored.sigma <= library.required_sigma or scored.absorbed or len(starts) == MAX_STARTS:
+        if scored.sigma <= library.required_sigma or scored.absorbed or len(starts) == MAX_FIRST_EFFECTS:
             continue
         if all(largest_cosine(scored.signature, s.signature) < current_policy().alias_cosine for s in starts):
             starts.append(scored)

@@ -13,11 +13,11 @@ from scipy.special import chdtrc, fdtrc, ndtri
 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, T_C, V0, B
-from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.jacobian import differentiate_tracks, linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips, project_out
 from discrepancy.fitting.parameters import candidates_by_name, parameter_limits
 from discrepancy.fitting.significance import chi2_to_sigma, explains_too_little
+from discrepancy.fitting.stretch_starts import fit_launches
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.policy import current_policy
@@ -369,7 +369,7 @@ class HeldOutClips:
     def fit(self, fit: ModelFit) -> ModelFit | None:
         """Fit the launches by a model of the library; None if it has no motion for them."""
         with suppress(ValueError):
-            return fit_model(self.clips, fit.model, (), self.noise, self.before.launches)
+            return fit_launches(self.clips, fit.model, self.noise, self.before.launches)
         return None
 
     def fit_with_law(self, free_law: FittedLaw) -> ModelFit | None:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import ModelFit, orthonormal_basis
+from discrepancy.fitting.stretch_starts import fit_launches
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
@@ -64,14 +64,14 @@ def measure_gap(
     makes the second fit of these clips from the first, if no model can hold the free law. If the best model has no
     motion for one of the clips, it closes nothing. Clips that neither model predicts count less (`weigh_clips`).
     """
-    before = fit_model(clips, base.model, (), noise)
+    before = fit_launches(clips, base.model, noise)
     try:
         if fit_law:
             after = fit_law(before)
         elif best.model == base.model:
             after = before
         else:
-            after = fit_model(clips, best.model, (), noise, before.launches)
+            after = fit_launches(clips, best.model, noise, before.launches)
     except ValueError:  # no motion
         after = before
     every = zip(clips, before.residuals, after.residuals, before.launch_slopes, strict=True)

@@ -9,9 +9,10 @@ from discrepancy_clips import STD, exact, noisy
 from discrepancy.data.launch import SLIP
 from discrepancy.data.notes import SearchNoteKind
 from discrepancy.data.stretches import cut_stretches
-from discrepancy.fitting.base_fit import CLAIMED_NOISE
+from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.stretch_starts import choose_starts
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.stretch_starts import choose_starts, fit_launches, leave_local_minima
 from synthcam.model import Model
 
 
@@ -29,6 +30,34 @@ def test_a_slide_is_found_from_a_guess_that_is_far_too_short(share):
     assert not left_out
     fit = fit_model(chosen, Model(), (), CLAIMED_NOISE)
     assert max(r @ r / len(r) for r in fit.residuals) < 2
+
+
+def chi2_of_worst(fit):
+    return max(float(r @ r) / len(r) for r in fit.residuals)
+
+
+def test_a_fit_of_launches_leaves_the_minimum_of_balls_that_roll_from_the_start():
+    cut = [spoil(clip, 0.0) for clip in cut_stretches(noisy(exact(Model(), 3, 2), 2))]
+    assert chi2_of_worst(fit_model(cut, Model(), (), CLAIMED_NOISE)) > 100
+    assert chi2_of_worst(fit_launches(cut, Model(), CLAIMED_NOISE)) < 2
+
+
+def test_a_base_fit_leaves_the_minimum_of_balls_that_roll_from_the_start():
+    """There the friction moves no ball, so it would keep its wrong value."""
+    cut = [spoil(clip, 0.0) for clip in cut_stretches(noisy(exact(Model(), 3, 2), 2))]
+    base = fit_base_model(cut, Model().replace({"sliding_friction": 0.8 * Model().sliding_friction}), CLAIMED_NOISE)
+    assert chi2_of_worst(base) < 2
+    assert base.model.sliding_friction == pytest.approx(Model().sliding_friction, rel=0.01)
+
+
+def test_fits_without_several_minima_stay_as_they_are():
+    whole = noisy(exact(Model(), 2, 2), 2)
+    moved = [dataclasses.replace(clip, xy=clip.xy + 20 * STD * np.sin(clip.frame)[:, None]) for clip in whole]
+    gliding = Model().replace({"sliding_friction": 0.0})
+    for clips, model in ((moved, Model()), (choose_starts(cut_stretches(moved), gliding)[0], gliding)):
+        whitened, fit = WhitenedClips.of(clips, CLAIMED_NOISE), fit_model(clips, model, (), CLAIMED_NOISE)
+        assert chi2_of_worst(fit) > 2
+        assert leave_local_minima(whitened, fit) is fit
 
 
 def test_without_friction_nothing_slides():

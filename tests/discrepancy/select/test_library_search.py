@@ -18,8 +18,8 @@ from discrepancy.noise.model import estimate_noise
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy
 from discrepancy.select.free_law_contest import select_effects_and_law
 from discrepancy.select.library_search import (
+    choose_first_effects,
     choose_simplest,
-    choose_starts,
     complete_search,
     describe_claims,
     find_undetectable,
@@ -144,7 +144,7 @@ def lens_beyond_realistic_sizes():
         only(patch, ["force_place"], **{n: library()[n] for n in ("plate_tilt", "lens_distortion")})
         clips, base, noise = started(Model().replace({"lens_distortion.k1": 1.0}))
         steps = library_fits(clips, base, noise)
-        return steps, [(), *iterate_models(steps)][-1], select_effects_and_law(steps), choose_starts(steps)
+        return steps, [(), *iterate_models(steps)][-1], select_effects_and_law(steps), choose_first_effects(steps)
 
 
 def test_a_search_that_explains_too_little_begins_again_from_other_effects():
@@ -163,7 +163,9 @@ def test_other_starts_are_tried_only_where_much_is_missing(monkeypatch):
     few(monkeypatch)
     clips, base, noise = started(Model().replace({"velocity_restitution.e": 0.01}))
     steps, found = selected(clips, base, noise)
-    monkeypatch.setattr("discrepancy.select.library_search.choose_starts", lambda library: pytest.fail("not needed"))
+    monkeypatch.setattr(
+        "discrepancy.select.library_search.choose_first_effects", lambda library: pytest.fail("not needed")
+    )
     assert search_from_other_effects(steps, found.state) is found.state
 
 
