@@ -1,7 +1,8 @@
 """Property tests draw the same cases everywhere, HYPOTHESIS_PROFILE=random new ones.
 
-With `--dist loadfile` the tests of a file run in one process, and so do those of all files that share searches. These
-begin, and files of many small tests end a run, so that both processes end together.
+With `--dist loadfile` the tests of a file run in one process, and so do those of all files that share searches, a suite
+of benchmarks or recorded collisions. These begin, and files of many small tests end a run, so that both processes end
+together.
 """
 
 import functools
@@ -18,7 +19,12 @@ from report_pages import undrawn
 
 import synthcam.library as effects_module
 
-SHARED = re.compile(r"^from discrepancy_\w+ import .*\b(searched|outsider)\b", re.MULTILINE)
+# What the helpers make once a process: the files of tests that import it run in the same one.
+SHARED = {
+    "searches": re.compile(r"^from discrepancy_\w+ import .*\b(searched|outsider)\b", re.MULTILINE),
+    "suites": re.compile(r"^from benchmark_suite import .*\b(suite|simulated)\b", re.MULTILINE),
+    "records": re.compile(r"^from discrepancy_files import", re.MULTILINE),
+}
 
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", deadline=None)
@@ -41,16 +47,19 @@ def pytest_xdist_make_scheduler(config, log):
         return None
     from xdist.scheduler import LoadFileScheduling
 
-    every = Path(__file__).parent.rglob("test_*.py")
-    searches = {p.relative_to(config.rootpath).as_posix() for p in every if SHARED.search(p.read_text())}
+    shared = {}
+    for path in Path(__file__).parent.rglob("test_*.py"):
+        text = path.read_text()
+        scopes = [scope for scope, imports in SHARED.items() if imports.search(text)]
+        shared |= {path.relative_to(config.rootpath).as_posix(): scope for scope in scopes[:1]}
 
     class Sharing(LoadFileScheduling):
         def _split_scope(self, nodeid):
             path = super()._split_scope(nodeid)
-            return "searches" if path in searches else path
+            return shared.get(path, path)
 
         def _assign_work_unit(self, node):
-            first = min(self.workqueue, key=lambda scope: (scope != "searches", len(self.workqueue[scope])))
+            first = min(self.workqueue, key=lambda scope: (scope not in SHARED, len(self.workqueue[scope])))
             self.workqueue.move_to_end(first, last=False)
             super()._assign_work_unit(node)
 

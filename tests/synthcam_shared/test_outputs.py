@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tracker_film import CAMERA, collision
+from tracker_noisy import without_fits, without_local
 
 from synthcam_shared import outputs
 from synthcam_shared.errors import InputError
@@ -205,7 +206,8 @@ def test_damaged_results_are_one_line(results_of, table, file, text):
 @pytest.fixture(scope="module")
 def results_of(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
-    measure(three_clips(folder), folder / "d")
+    with without_fits(), without_local():
+        measure(three_clips(folder), folder / "d")
     return folder / "d"
 
 

@@ -35,6 +35,11 @@ def clip():
 
 
 @pytest.fixture(scope="module")
+def film(clip):
+    return clip.film()
+
+
+@pytest.fixture(scope="module")
 def folders(tmp_path_factory):
     """A dataset of two clips and what `tracker track` makes of it."""
     folder = tmp_path_factory.mktemp("recording")
@@ -44,8 +49,8 @@ def folders(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def result(clip):
-    return tracker.track(clip.film(), clip.camera_json, number=1)
+def result(clip, film):
+    return tracker.track(film, clip.camera_json, number=1)
 
 
 def command(*words):
@@ -75,22 +80,23 @@ def test_from_memory_as_from_a_dataset_to_the_last_bit(result, folders):
     assert result.estimates["status"].tolist() == ["ok"]
 
 
-def test_by_way_of_a_path_a_list_a_generator_and_a_camera(clip, folders):
+def test_by_way_of_a_path_a_list_a_generator_and_a_camera(clip, film, folders):
     position = folders / "data/clips/000001"
     camera = tracker.Camera.read(position / "camera.json")
-    for film, known in (
+    for given, known in (
         (position, None),
         (str(position / "frames.tif"), position / "camera.json"),
-        (list(clip.film()), camera),
+        (list(film), camera),
         (clip.pictures(), clip.camera),
     ):
-        same(tracker.track(film, known, number=1), folders / "results")
+        same(tracker.track(given, known, number=1), folders / "results")
 
 
-def test_colour_is_taken_as_a_file_of_it_is(clip, tmp_path):
-    colour = np.repeat(clip.film()[..., None], 3, axis=-1) // np.array([1, 2, 3], np.uint8)
+@pytest.mark.usefixtures("not_local")
+def test_colour_is_taken_as_a_file_of_it_is(clip, film, tmp_path):
+    colour = np.repeat(film[..., None], 3, axis=-1) // np.array([1, 2, 3], np.uint8)
     tifffile.imwrite(tmp_path / "c.tif", colour, photometric="rgb")
-    one, other = (tracker.track(film, clip.camera_json) for film in (colour, tmp_path / "c.tif"))
+    one, other = (tracker.track(given, clip.camera_json) for given in (colour, tmp_path / "c.tif"))
     pd.testing.assert_frame_equal(one.tracks, other.tracks, check_exact=True)
     assert one.notes == other.notes == (COLOUR_TO_GREY,)
 
@@ -139,13 +145,14 @@ def test_specks_after_a_search_for_bodies_do_not_advise_that_search(monkeypatch)
     assert (chosen.name, tracked.hint) == (GLINTS, LooseEnds.NO_BODIES)
 
 
+@pytest.mark.usefixtures("unfitted", "not_local")
 @pytest.mark.parametrize(("rate", "said"), [(25.0, True), (250.0, False), (249.0, False)])
-def test_a_video_that_claims_another_frame_rate_is_said(clip, tmp_path, rate, said):
+def test_a_video_that_claims_another_frame_rate_is_said(clip, film, tmp_path, rate, said):
     path = tmp_path / "film.mkv"
     writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"FFV1"), rate, (200, 160), False)
     if not writer.isOpened():
         pytest.skip("this OpenCV cannot write FFV1")
-    for frame in clip.film():
+    for frame in film:
         writer.write(frame)
     writer.release()
     known = tracker.Camera.from_dict(clip.camera_json)
@@ -154,8 +161,9 @@ def test_a_video_that_claims_another_frame_rate_is_said(clip, tmp_path, rate, sa
     assert notes == [text + "argument times file takes the film's"] * said
 
 
-def test_without_a_camera_there_are_pixels(clip):
-    result = tracker.track(clip.film())
+@pytest.mark.usefixtures("unfitted", "not_local")
+def test_without_a_camera_there_are_pixels(film):
+    result = tracker.track(film)
     assert NO_CAMERA_FILE in result.notes
     assert len(result.tracks) > 90
 
@@ -250,9 +258,9 @@ def test_the_plot_is_the_picture(result):
     np.testing.assert_array_equal(drawn, result.tracks[["x", "y"]])
 
 
-def test_a_clip_and_its_camera_are_cameras_as_their_keys_are(clip, result):
+def test_a_clip_and_its_camera_are_cameras_as_their_keys_are(clip, film, result):
     for camera in (clip.camera, clip):
-        other = tracker.track(clip.film(), camera, number=1)
+        other = tracker.track(film, camera, number=1)
         pd.testing.assert_frame_equal(other.estimates, result.estimates, check_exact=True)
     table = clip.tracks[["frame", "particle"]].assign(x=clip.tracks.x_mean_px, y=clip.tracks.y_mean_px)
     measured = [tracker.measure(table, camera).estimates for camera in (clip.camera, clip.camera_json)]
@@ -260,12 +268,12 @@ def test_a_clip_and_its_camera_are_cameras_as_their_keys_are(clip, result):
 
 
 @pytest.mark.parametrize("camera", [5, object(), [1.0]])
-def test_what_is_no_camera_is_one_line(clip, camera):
+def test_what_is_no_camera_is_one_line(film, camera):
     with pytest.raises(tracker.InputError, match=r"^camera: of type .*, expected the keys of camera\.json, a path"):
-        tracker.track(clip.film(), camera)
+        tracker.track(film, camera)
 
 
-def test_linear_algebra_stays_in_one_thread(clip, monkeypatch):
+def test_linear_algebra_stays_in_one_thread(clip, film, monkeypatch):
     seen = []
 
     def count_threads(*given, **more):
@@ -277,7 +285,7 @@ def test_linear_algebra_stays_in_one_thread(clip, monkeypatch):
     table = clip.tracks[["frame", "particle", "x_px", "y_px"]].rename(columns={"x_px": "x", "y_px": "y"})
     with threadpool_limits(2, "blas"):
         for work in (
-            lambda: tracker.track(clip.film(), clip.camera_json),
+            lambda: tracker.track(film, clip.camera_json),
             lambda: tracker.measure(table, clip.camera_json),
         ):
             with pytest.raises(InputError, match="seen"):
