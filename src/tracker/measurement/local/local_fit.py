@@ -18,7 +18,7 @@ from scipy.special import ndtr
 from synthcam_shared.arrays import Array, Flags
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.descents import Descent, FitInSteps
-from tracker.measurement.local.lasting_errors import LastingErrors, estimate_correlation
+from tracker.measurement.local.lasting_errors import measure_variances
 from tracker.measurement.local.local_problem import LocalPriors, LocalProblem, LocalSolution
 from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch
 
@@ -223,37 +223,20 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool) -> FitInStep
     known: errors are claimed, and are never smaller than that. A body at rest takes the mean of all stretches, because
     recorders round or drop its positions.
     """
-    shared, max_correlation = 8.0, 0.9  # degrees of freedom with which that mean counts in each stretch; of neighbours
     solution = found[0]
     if known and solution.is_good:
         return [solution]
     problem = solution.problem
     ends = 2 * np.cumsum([len(s) for s in problem.stretches])[:-1]
-    parts = zip(*(np.split(v, ends) for v in (solution.residual, solution.freedom, problem.counted)), strict=True)
-    squares, freedom, rhos, shapes = dict[int, float](), dict[int, float](), dict[int, float](), {}
-    for k, (left, free, counted) in enumerate(parts):
-        if problem.motions[k].moves:
-            coefficients = (problem.motions[k].size + 1) // 2  # of the path along an axis
-            shapes[k] = int(counted.sum()) // 2, coefficients
-            squares[k] = float((left[counted] ** 2).sum())
-            freedom[k] = max(float(free[counted].sum()), 0.5)
-            rhos[k] = estimate_correlation(left[counted].reshape(-1, 2), coefficients)
-    total = sum(freedom.values())
-    usual_rho = sum(freedom[k] * rho for k, rho in rhos.items()) / total
-    errors = dict[int, LastingErrors]()
-    for k, shape in shapes.items():
-        own = freedom[k] / (freedom[k] + shared)
-        rho = float(np.clip(own * rhos[k] + (1 - own) * usual_rho, 0.0, max_correlation))
-        errors[k] = LastingErrors.of(rho, *shape)
-        squares[k] /= errors[k].left
-    mean = sum(squares.values()) / total
-    usual = sum(freedom[k] * one.inflation for k, one in errors.items()) / total
-    sizes = []
-    for k, size in enumerate(solution.sizes):
-        square = mean * usual
-        if k in errors:
-            square = (squares[k] + shared * mean) / (freedom[k] + shared) * errors[k].inflation
-        sizes.append(size * float(np.sqrt(max(square, 1.0 if known else 1e-12))))
+    lefts, frees, counts = (np.split(v, ends) for v in (solution.residual, solution.freedom, problem.counted))
+    moving = [k for k, motion in enumerate(problem.motions) if motion.moves]
+    own, usual = measure_variances(
+        [lefts[k][counts[k]].reshape(-1, 2) for k in moving],
+        [max(float(frees[k][counts[k]].sum()), 0.5) for k in moving],
+        [(problem.motions[k].size + 1) // 2 for k in moving],  # coefficients of the path along an axis
+    )
+    found_squares, least = dict(zip(moving, own, strict=True)), 1.0 if known else 1e-12
+    sizes = [size * float(np.sqrt(max(found_squares.get(k, usual), least))) for k, size in enumerate(solution.sizes)]
     again = yield [Descent([one.problem], one.x[None], sizes, least_gain=ROUGH_GAIN) for one in found]
     return sorted((one for [one] in again), key=lambda s: -s.log_evidence)
 
