@@ -135,6 +135,15 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
             f"masses: the struck particle {row['particle1']} has {row['mass_ratio']:.4g} of the mass of particle"
             f" {row['particle2']}, by {_count(hits)}. {SAME_BODIES}"
         )
+    wrong = next((e["ball_masses"]["of"] for e in used["local_shared"].map(json.loads) if "ball_masses" in e), None)
+    if wrong is not None:
+        row = used.iloc[0]
+        low, high = sorted((row["particle1"], row["particle2"]))
+        texts.append(
+            f"masses: recoil contradicts the masses of the camera file: by {_count(hits)}, particle {low} has"
+            f" {np.exp(wrong):.3g} times the mass over that of particle {high} that they give. Check ball_masses, and"
+            " which ball is which. Energies are those of the given masses, and their errors count the difference"
+        )
     return [Note(NoteKind.FLAG, text) for text in texts]
 
 

@@ -47,6 +47,7 @@ class LocalErrors:
     factor: float = 1.0  # on the errors of velocities by the residuals
     log_ratio: float = 0.0  # logarithm of the mass of the first particle over that of the second, beyond what is given
     log_ratio_std: float = 0.0
+    mass_excess: float = 0.0  # the same logarithm where masses are given, which recoil contradicts by this
     hits: int = 0  # from which these are fitted; 0: a prior
 
 
@@ -195,7 +196,8 @@ def _list_common_errors(
 ) -> dict[str, tuple[float, Array]]:
     """The errors that all hits of a set have in common, by key: value, and effect (n,) of one standard error.
 
-    They are the bias, which may be that of each velocity along n, and the ratio of the masses.
+    They are the bias, which may be that of each velocity along n, and the ratio of the masses. Given masses that recoil
+    contradicts change no value, and the contradiction counts as an error.
     """
     weights = response[LOCAL_NAMES.index("balance_n")] * np.tile([1.0, 0.0], 4)
     total, out = float(weights @ weights), {}
@@ -205,6 +207,8 @@ def _list_common_errors(
         out = {f"bias_{VELOCITIES[k][:3]}": (errors.bias_n, response[:, k] * unit) for k in np.flatnonzero(weights)}
     if errors.log_ratio_std > 0:
         out["mass_ratio"] = (errors.log_ratio, by_mass * _role(row) * errors.log_ratio_std)
+    if errors.mass_excess:
+        out["ball_masses"] = (errors.mass_excess, by_mass * _role(row) * errors.mass_excess)
     return out
 
 
@@ -219,8 +223,9 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     The biases and the ratio of masses are the likeliest. The errors are means over all that fit, because the likeliest
     ones of few hits are too small; see `_Balances`.
 
-    If the masses are unknown and each of two bodies strikes the other a few times, their ratio is fitted too. Recoil
-    from either side distinguishes it from a bias. It counts if it makes the balances likelier by 3 standard errors.
+    If each of two bodies strikes the other a few times, the ratio of their masses is fitted too, or tested if they are
+    given. Recoil from either side distinguishes it from a bias. It counts if it makes the balances likelier by 3
+    standard errors. Otherwise wrong masses would look like errors of velocities.
     """
     usable = [row for row in rows if is_known(row, "r_local")]
     if len(usable) < MIN_HITS:
@@ -244,6 +249,8 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
         factor=float(np.hypot(1.0, excess)),
         hits=len(usable),
     )
+    if recoil and any(raw["masses_known"] for raw in found):
+        return replace(errors, mass_excess=-float(best[1]))
     if recoil:
         half = float(np.clip(-best[1] / 2, -0.99, 0.99))  # the balance goes as tanh(log_ratio / 2)
         errors = replace(errors, log_ratio=2 * np.arctanh(half), log_ratio_std=float(doubt[1]) / (1 - half**2))
@@ -332,12 +339,12 @@ class _Balances(NamedTuple):
 
 
 def _recoil_by_mass(rows: Sequence[Mapping[str, Any]], found: Sequence[Any], by_mass: Array) -> list[Array]:
-    """The derivative of each balance along n by the logarithm of the mass ratio, if the ratio is to be fitted."""
+    """The derivative of each balance along n by the logarithm of the mass ratio, if recoil can show the ratio."""
     pairs = [(row.get("particle1", -1), row.get("particle2", -1)) for row in rows]
     strikers = [pair[1] for pair in pairs]
     two = len({frozenset(pair) for pair in pairs}) == 1 and -1 not in pairs[0]
     crowd = any(row.get("status") == CROWD for row in rows)  # its tracks are other balls in the next clip
-    if any(raw["masses_known"] for raw in found) or not two or crowd or min(map(strikers.count, pairs[0])) < 3:
+    if not two or crowd or min(map(strikers.count, pairs[0])) < 3:
         return []
     return [by_mass * [_role(row) for row in rows]]
 

@@ -146,6 +146,26 @@ def test_a_mass_ratio_of_a_set_is_one_value():
     ).mean.std[0] == pytest.approx(std[0], rel=0.01)
 
 
+@pytest.mark.parametrize("wrong", [0.1, 0.0])
+def test_given_masses_that_recoil_contradicts_are_no_errors_of_velocities(wrong):
+    """Wrong masses would widen the errors of all velocities, and so hide themselves."""
+    rows = draw_unequal_rows(wrong)
+    for row in rows:
+        row["local"] = row["local"].replace('"masses_known": false', '"masses_known": true')
+    errors, right = calibrate_rows(rows), calibrate_rows(draw_unequal_rows(0.0))
+    assert errors.log_ratio == errors.log_ratio_std == 0
+    assert errors.mass_excess == pytest.approx(wrong, abs=0.003)
+    assert errors.error_n == pytest.approx(right.error_n, rel=0.1)
+    found = calibrate_set(rows)
+    assert [row["mass_ratio"] for row in found] == [row["mass_ratio"] for row in rows]
+    assert all(row["recommended"] == "local" for row in found)
+    table = pd.DataFrame([make_empty_row(Camera.from_dict(CAMERA), "misfit") | row for row in found])
+    said = [str(note) for note in list_messages(table) if "contradicts the masses of the camera file" in str(note)]
+    assert len(said) == (wrong > 0)
+    assert all("particle 7 has 1.1" in text for text in said)
+    assert all(('"ball_masses"' in row["local_shared"]) == (wrong > 0) for row in found)
+
+
 def test_few_hits_keep_the_prior():
     rows = draw_rows(5, 0.01, 0.01, 0.0)
     assert calibrate_rows(rows) is None
