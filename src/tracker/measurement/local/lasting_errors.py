@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.signal import lfilter
 
 from synthcam_shared.arrays import Array
 
@@ -115,5 +114,4 @@ def _whiten(values: Array) -> Array:
 
 def _correlate(rho: float, values: Array) -> Array:
     """Multiply values (n, k) by the matrix of correlations, rho to the power of the distance."""
-    later, earlier = (lfilter([1.0], [1.0, -rho], part, axis=0) for part in (values, values[::-1]))
-    return np.asarray(later + earlier[::-1] - values)
+    return np.asarray(rho ** np.abs(np.subtract.outer(np.arange(len(values)), np.arange(len(values)))) @ values)
