@@ -86,6 +86,8 @@ class SearchOutcome:
     left_out: tuple[SearchNote, ...] = ()
     interrupted: InterruptedSearch | None = None
     contacts: tuple[ContactClaim, ...] = ()
+    measured: str = ""
+    base_model: str = ""
 
     @property
     def gap(self) -> Gap:

@@ -65,6 +65,8 @@ class SearchResult(SearchOutcome):
         Set if the search was cut short; it then claims nothing.
     contacts : tuple of ContactClaim
         With stretches: the laws of restitution, friction and recoil that the contacts support.
+    measured, base_model : str
+        The paths of the tracks and of the model, for the report; empty if they were given as objects.
 
     Examples
     --------

@@ -28,6 +28,21 @@ from synthcam.library import library
 from synthcam.model import Model
 from synthcam_shared.report.numbers import format_number, round_to_error
 
+VERDICT_MEANINGS = {
+    Verdict.NONE: "no effect passes the tests, and no disagreement of model and data is significant",
+    Verdict.NAMED: "the model lacks one or more effects of the library, and each is distinguished from all others",
+    Verdict.AMBIGUOUS: "the model lacks an effect, which these data do not distinguish from others",
+    Verdict.OUTSIDE_LIBRARY: "the model lacks something that no effect of the library makes",
+    Verdict.INADEQUATE: "something is missing, and no candidate passes all tests",
+}
+BASE_MEANINGS = {
+    "restitution": "normal speed of both balls after the impact over that before it",
+    "sliding_friction": "coefficient of friction between ball and plate",
+    "spin_transfer": "share of the spin that the impact transfers",
+    "rolling_drag": "part of the rolling loss that is proportional to the speed",
+    "rolling_decel": "constant part of the rolling loss",
+}
+
 
 def describe_search(found: SearchOutcome) -> str:
     """Describe the outcome of a search in a few sentences, the most important first.
@@ -133,28 +148,60 @@ def describe_claim(claim: EffectClaim, base: Model) -> str:
     errors. A reader could take "(1 sigma)" after an error for the width of an interval.
     """
     rivals = f" or {' or '.join(claim.aliases[1:])}" if len(claim.aliases) > 1 else ""
-    joint = f"{claim.sigma:.0f} sigma"
-    is_correction, several = claim.is_in(base), len(claim.values) > 1
-    parts = []
-    for name, value in claim.values.items():
-        at_limit = claim.at_limit(name)
-        number = round_to_error(value, 0.0 if at_limit else claim.std[name], 1)
-        number = number if number.startswith("-") or is_correction else f"+{number}"
-        known = math.isfinite(claim.std[name]) and not at_limit
-        error = f"+- {claim.std[name]:.1g}" if known else "at its limit" if at_limit else "without an error"
-        own = f" ({_describe_distance(abs(value) / claim.std[name])})" if several and known and claim.std[name] else ""
-        what = f"{name} is {number}, not {base.value(name):.3g}," if is_correction else f"{_last(name)} {number}"
-        parts.append(f"{what} {error}{_unit(name)}{own}")
-    for name, value in claim.shapes.items():
-        std = claim.shape_std[name]
-        if math.isfinite(std):
-            parts.append(f"{_last(name)} {round_to_error(value, std, 1)} +- {std:.1g}{_unit(name)}")
-        else:
-            parts.append(f"{_last(name)} undetermined")
+    joint, several = f"{claim.sigma:.0f} sigma", len(claim.values) > 1
     joint = f"; jointly {joint}" if several else f" ({joint})"
-    if is_correction:
+    if claim.is_in(base):
+        parts = [_describe_correction(claim, name, base) for name in claim.values]
+        parts += [_describe_shape(claim, name) for name in claim.shapes]
         return f"{', '.join(parts)}{joint}{rivals and ','}{rivals}"
-    return f"{describe_effect(claim.effect)}{rivals}, {', '.join(parts)}{joint}"
+    parts = [_describe_strength(claim, name) for name in claim.values]
+    parts += [_describe_shape(claim, name) for name in claim.shapes]
+    return f"{describe_effect(claim.effect)}{rivals}: {', '.join(parts)}{joint}"
+
+
+def _describe_strength(claim: EffectClaim, name: str) -> str:
+    """Describe a strength: in the words of its effect if it is significant, else as a number with its sign."""
+    value, std, at_limit = claim.values[name], claim.std[name], claim.at_limit(name)
+    is_known = math.isfinite(std) and std > 0 and not at_limit
+    size = _describe_size(name, value, std if is_known else math.nan)
+    meaning = find_parameter(Model(), name).meaning[value < 0]
+    if is_known and not _is_significant(abs(value) / std):
+        meaning = ""
+    if "{}" in meaning:
+        text = meaning.format(size.removeprefix("-"))
+    else:
+        text = f"{meaning}{meaning and ', '}{_last(name)} {size if value < 0 else f'+{size}'}"
+    if not is_known:
+        return f"{text}{',' if '{}' in meaning else ''} {'at its limit' if at_limit else 'without an error'}"
+    return f"{text} ({_describe_distance(abs(value) / std)})" if len(claim.values) > 1 else text
+
+
+def _describe_correction(claim: EffectClaim, name: str, base: Model) -> str:
+    """Describe the value of a strength that the base model has with another value."""
+    value, std, at_limit = claim.values[name], claim.std[name], claim.at_limit(name)
+    number = round_to_error(value, 0.0 if at_limit else std, 1)
+    is_known = math.isfinite(std) and not at_limit
+    error = f"+- {std:.1g}" if is_known else "at its limit" if at_limit else "without an error"
+    own = f" ({_describe_distance(abs(value) / std)})" if len(claim.values) > 1 and is_known and std else ""
+    return f"{name} is {number}, not {base.value(name):.3g}, {error}{_unit(name)}{own}"
+
+
+def _describe_shape(claim: EffectClaim, name: str) -> str:
+    std = claim.shape_std[name]
+    if not math.isfinite(std):
+        return f"{_last(name)} undetermined"
+    return f"{_last(name)} {_describe_size(name, claim.shapes[name], std)}"
+
+
+def _describe_size(name: str, value: float, std: float) -> str:
+    """Write a value with its error, if it has one, and its unit with a prefix: "1.0004 +- 0.0007 mrad"."""
+    unit, factor, error = _unit(name), 1.0, std if math.isfinite(std) else 0.0
+    if unit in (" m", " s", " rad"):
+        prefixes = ((1.0, ""), (1e-3, "m"), (1e-6, "u"))
+        factor, prefix = next((x for x in prefixes if 2 * max(abs(value), error) > x[0]), prefixes[-1])
+        unit = f" {prefix}{unit[1:]}"
+    number = round_to_error(value / factor, error / factor, 1)
+    return f"{number} +- {error / factor:.1g}{unit}" if error else f"{number}{unit}"
 
 
 def describe_rejection(test: ClaimTest, unit: EvidenceUnit = EvidenceUnit.COLLISION) -> str:
@@ -319,9 +366,14 @@ def describe_slow_noise(noise: Noise) -> str:
     )
 
 
-def _describe_distance(errors: float, significant: float = 3.0) -> str:
-    """Say how far a strength is from zero; below `significant` standard errors the number would mislead."""
-    return f"{errors:.0f} standard errors from zero" if errors >= significant else "not significant"
+def _is_significant(errors: float, least: float = 3.0) -> bool:
+    """Tell if a strength is so many standard errors from zero that its sign has a meaning."""
+    return errors >= least
+
+
+def _describe_distance(errors: float) -> str:
+    """Say how far a strength is from zero, where that is significant; else the number would mislead."""
+    return f"{errors:.0f} standard errors from zero" if _is_significant(errors) else "not significant"
 
 
 def _last(name: str) -> str:
@@ -382,11 +434,13 @@ def _describe_disagreement(found: SearchOutcome) -> str:
     worst = found.base_disagreements[0] if found.base_disagreements else None
     if worst is None or worst.sigma == 0:
         return f"{chi2} and no significant disagreement."
-    size = f", {format_number(worst.size, 2)} um rms" if np.isfinite(worst.size) else ""
+    size = (
+        f" ({format_number(worst.size, 2)} um rms of the terms that this test fits)" if np.isfinite(worst.size) else ""
+    )
     where = describe_disagreement(worst, base.model)
     return (
-        f"{chi2}. Its largest disagreement is {where}: {format_sigma(worst.sigma)} sigma, "
-        f"corrected for {len(found.base_disagreements)} tests{size}."
+        f"{chi2}. Its largest disagreement is {where}: {format_sigma(worst.sigma)} sigma after a correction for "
+        f"{len(found.base_disagreements)} tests{size}."
     )
 
 

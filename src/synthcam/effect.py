@@ -64,6 +64,7 @@ def parameter(
     given: bool = False,
     default: float | None = None,
     tries: Iterable[float] = (),
+    meaning: tuple[str, str] = ("", ""),
 ) -> Any:
     """Declare a parameter of an effect, as the value of a dataclass field.
 
@@ -85,6 +86,9 @@ def parameter(
     tries : iterable of float
         Values of a shape parameter at which a search starts, close enough together to miss nothing; default: a few
         about `typical`.
+    meaning : tuple of str
+        In words, what a positive value of a strength means, and what a negative value means. "{}" stands for its size,
+        as in ("ball a is heavier by {}", "ball a is lighter by {}"). Reports write it where the sign is open to doubt.
 
     Returns
     -------
@@ -92,7 +96,7 @@ def parameter(
     """
     value = default if default is not None else (typical if fixed else 0.0)
     declared = {"unit": unit, "typical": typical, "low": low, "high": high, "fixed": fixed, "given": given}
-    return field(default=value, metadata=declared | {"tries": tuple(map(float, tries))})
+    return field(default=value, metadata=declared | {"tries": tuple(map(float, tries)), "meaning": meaning})
 
 
 @dataclass(frozen=True)
@@ -108,6 +112,7 @@ class Parameter:
     default: float
     given: bool = False
     tries: tuple[float, ...] = ()
+    meaning: tuple[str, str] = ("", "")
 
 
 @dataclass(frozen=True)

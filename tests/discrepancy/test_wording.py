@@ -1,20 +1,26 @@
 """The words for scatter and contacts: numbers with units and errors, causes, and the next measurement."""
 
 import dataclasses
+import math
 from types import SimpleNamespace
+
+import pytest
 
 from discrepancy.fitting.stretch_scatter import StretchScatter
 from discrepancy.outcome import Verdict
 from discrepancy.select.contact_effects import ContactClaim, ContactNumber
+from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.claim_tests import ClaimTest, HeldOutTest, Rejection, StrengthVariation
 from discrepancy.validate.residual_map import Disagreement
 from discrepancy.wording import (
+    describe_claim,
     describe_contacts,
     describe_disagreement,
     describe_rejection,
     describe_stretch_scatter,
     describe_verdict,
 )
+from synthcam.library import library
 from synthcam.model import Model
 
 RECOIL = ContactClaim(
@@ -29,6 +35,46 @@ RECOIL = ContactClaim(
     rivals=("ball a is heavier by a share",),
     mean=ContactNumber("mean recoil", 0.02, 0.004, "1"),
 )
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "std", "text"),
+    [
+        (
+            "plate_tilt",
+            {"x": -1.0004e-3, "y": 3e-7},
+            {"x": 7e-7, "y": 7e-7},
+            "(a plate that is not level): the plate falls by 1.0004 +- 0.0007 mrad towards -x "
+            "(1429 standard errors from zero), y +0.3 +- 0.7 urad (not significant); jointly 9 sigma",
+        ),
+        (
+            "mass_mismatch",
+            {"excess": -0.02},
+            {"excess": 1e-3},
+            "ball a is lighter by the fraction 0.020 +- 0.001 (9 sigma)",
+        ),
+        (
+            "mass_mismatch",
+            {"excess": 0.02},
+            {"excess": math.inf},
+            "is heavier by the fraction 0.02, without an error (9 sigma)",
+        ),
+        ("stribeck", {"rise": -0.2}, {"rise": 0.01}, "friction is smaller at slow slip, rise -0.20 +- 0.01 (9 sigma)"),
+        ("air_drag", {"share": 0.5}, {"share": 0.1}, "(the drag of air): share +0.5 +- 0.1 (9 sigma)"),
+    ],
+)
+def test_a_claim_says_what_the_sign_of_its_strength_means(effect, values, std, text):
+    values, std = ({f"{effect}.{k}": v for k, v in each.items()} for each in (values, std))
+    assert describe_claim(EffectClaim(effect, values, std, 9.0, (effect,)), Model()).endswith(text)
+
+
+def test_each_meaning_has_a_text_for_either_sign():
+    told = [p for kind in library().values() for p in kind.parameters() if any(p.meaning)]
+    assert len(told) > 20
+    for p in told:
+        assert not p.fixed
+        assert p.low < 0 < p.high
+        assert len(set(p.meaning) - {""}) == 2
 
 
 def test_a_body_on_air_glides_and_a_ball_slides():

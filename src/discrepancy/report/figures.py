@@ -25,6 +25,7 @@ from synthcam_shared.report.page import PageFigure, make_axes
 # colours of the base model, of the best model, of noise alone, and of all else
 COLOURS = {"base": "#b2182b", "best": "#2166ac", "noise": "#4d4d4d", "other": "#bdbdbd"}  # by what is drawn
 MAX_RANKED_EFFECTS = 20  # in the chart of candidates
+LINEAR_UP_TO = 10.0  # sigma, on an axis that is logarithmic above
 MIN_CLUSTERS = 3  # collisions whose scatter gives an error bar
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
 
@@ -80,7 +81,10 @@ def draw_search_figures(found: SearchOutcome) -> list[PageFigure]:
         figures.append(("Significance of each candidate effect", _ranking_figure(found), _caption_ranking(found)))
     caption = f"Held-out {unit} enter no fit of shared parameters; only their launches are fitted.{only}"
     figures.append((f"Residuals of held-out {unit} by phase", _gap_by_phase_figure(found), caption))
-    figures.append((f"Residuals of each held-out {unit.one}", _gap_by_clip_figure(found), caption))
+    each = "Error bars: scatter of χ² per point by noise; many are smaller than the marks."
+    if not found.is_empty:
+        each = f"{each} The marks of one {unit.one} stand side by side."
+    figures.append((f"Residuals of each held-out {unit.one}", _gap_by_clip_figure(found), f"{caption} {each}"))
     return [PageFigure.of(figure, title, caption) for title, figure, caption in figures]
 
 
@@ -227,9 +231,11 @@ def _law_map_figure(answer: LawSummary) -> Figure:
 def _caption_ranking(found: SearchOutcome) -> str:
     shown, total = len(found.scores[:MAX_RANKED_EFFECTS]), len(found.scores)
     which = f"The {shown} most significant of {total} effects" if shown < total else f"All {total} effects"
+    scale = f" The axis is linear up to {LINEAR_UP_TO:g} and logarithmic above." if _is_wide(found) else ""
+    colours = " Dark blue: claimed effects. Light blue: effects that fit as well." if found.claims else ""
     return (
         f"{which}, each added alone to the base model (score test on the {len(found.data.clips)} fitted "
-        f"{found.data.unit}). A wrong base model makes many significant; refits and tests decide."
+        f"{found.data.unit}). A wrong base model makes many significant; refits and tests decide.{colours}{scale}"
     )
 
 
@@ -242,14 +248,20 @@ def _ranking_figure(found: SearchOutcome) -> Figure:
         COLOURS["best"] if c.effect in claimed else "#92c5de" if c.effect in rivals else COLOURS["other"]
         for c in ranking
     ]
-    ax.barh([c.effect for c in ranking], [c.sigma for c in ranking], color=colours)
+    bars = ax.barh([c.effect for c in ranking], [c.sigma for c in ranking], color=colours)
+    ax.bar_label(bars, [f"{c.sigma:.4g}" for c in ranking], padding=2, fontsize=7)
     claim = found.required_sigma
     ax.axvline(claim, color=COLOURS["base"], lw=1, ls="--", label=f"required for a claim: {claim:.1f}")
     ax.set(xlabel="significance (sigma)")
-    if max(c.sigma for c in ranking) > 50:
-        ax.set_xscale("symlog", linthresh=10)
+    if _is_wide(found):
+        ax.set_xscale("symlog", linthresh=LINEAR_UP_TO)
     ax.legend(loc="lower right")
     return figure
+
+
+def _is_wide(found: SearchOutcome, wide: float = 50.0) -> bool:
+    """Tell if the significances of the candidates need a logarithmic axis."""
+    return max(c.sigma for c in found.scores) > wide
 
 
 def _gap_by_phase_figure(found: SearchOutcome) -> Figure:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,10 +11,10 @@ import numpy as np
 
 from discrepancy import wording
 from discrepancy.fitting.parameters import find_parameter
-from discrepancy.outcome import SearchOutcome
+from discrepancy.outcome import SearchOutcome, Verdict
 from discrepancy.report.document import tabulate_residuals, to_document
 from discrepancy.report.figures import draw_search_figures, list_models, name_best_model
-from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.select.effect_claim import EffectClaim, is_at_limit
 from discrepancy.validate.claim_tests import ClaimTest
 from discrepancy.validate.residual_map import Disagreement, is_unexplained
 from synthcam.model import Model, write_model
@@ -34,10 +35,13 @@ def write(found: SearchOutcome, folder: Path) -> None:
     figures = draw_search_figures(found)
     named, base = _named_table(found), found.base_disagreements
     definitions = (
+        f"Verdict {found.verdict}: {wording.VERDICT_MEANINGS[found.verdict]}.",
         "Ball 1 is struck, ball 2 strikes. The impact parameter b is in units of the sum of the radii.",
-        f"The fitted {unit} determine the shared parameters. The held-out {unit} enter no fit of shared "
-        "parameters; only their launches are fitted.",
+        f"A launch is the state of both balls at the contact. Each {unit.one} has its own, which is always fitted.",
+        f"The fitted {unit} determine the shared parameters, which all {unit} have in common. The held-out {unit} "
+        f"enter no fit of shared parameters; only their launches are fitted.{_describe_extremes(found)}",
         "χ² per point: noise alone gives slightly less than 1, because the launches are fitted.",
+        "Residual: measured less predicted position. Sigma: significance, as of a normal distribution.",
     )
     about_stretches = (
         "A stretch is the motion of one ball between two contacts. It has its own start, whatever the impact was."
@@ -62,7 +66,10 @@ def write(found: SearchOutcome, folder: Path) -> None:
             f"{str(unit).capitalize()} and positions that were not used", [PageList(left_out)] if left_out else []
         ),
     ]
-    summary = [f"Verdict: {wording.describe_verdict(found)}", wording.describe_search(found)]
+    sources = {"Tracks": found.measured, "Base model": found.base_model}
+    given = " ".join(f"{name}: {path}." for name, path in sources.items() if path)
+    verdict = f"Verdict: {wording.describe_verdict(found)}"
+    summary = [verdict, wording.describe_search(found), *([given] if given else [])]
     write_page(folder / "index.html", "Search for missing physics", sections, "discrepancy find", summary)
 
 
@@ -89,6 +96,14 @@ def write_report(found: SearchOutcome, folder: Path) -> Path:
     with replace_folder(folder, FILES, "a report of an earlier search") as place:
         write(found, place)
     return folder / "index.html"
+
+
+def _describe_extremes(found: SearchOutcome) -> str:
+    """Say which collisions are held out on purpose; empty if there are too few, or if they are stretches."""
+    count = len(found.data.clips) + len(found.data.held_out)
+    if found.data.is_cut or count < found.policy.min_clips_to_hold_out_extremes:
+        return ""
+    return " The fastest and the most oblique collision are among them, so the test extrapolates."
 
 
 def _named_table(found: SearchOutcome) -> PageTable | None:
@@ -139,9 +154,9 @@ def _describe_similar(found: SearchOutcome) -> list[Block]:
             is_excluded = not is_alias and remaining_chi2 > found.policy.rival_excluded_chi2
             text = f"{' with '.join(names)} (cosine {cosine:.3f})"
             (excluded if is_excluded else others).append(text)
-        text = f"Some effects have signatures similar to that of {claim.effect}."
+        text = f"Some effects change the tracks similarly to {claim.effect} (cosine of the angle between both changes)."
         if excluded:
-            text += f" The data exclude each of these in its place, so it is no alias: {', '.join(excluded)}."
+            text += f" The data exclude each of these in place of {claim.effect}: {', '.join(excluded)}."
         if others:
             text += f" The data do not exclude: {', '.join(others)}."
         if claim.alike:
@@ -210,14 +225,17 @@ def _list_disagreements(
             rows.append((where, wording.format_sigma(one.sigma), size))
         note = (
             f"Residuals of the {len(found.data.clips)} fitted {found.data.unit}. The significance is corrected for "
-            f"{len(disagreements)} tests."
+            f"{len(disagreements)} tests. The rms is that of the terms that the test fits, noise subtracted: within a "
+            "phase only terms that curve the path. Along and across: relative to the motion of the ball in this phase. "
+            "Position: its mean position in this phase. Speed, heading and impact parameter: of the striker."
         )
         return [PageTable(["disagreement", "significance, sigma", "rms / µm"], rows, note=note)]
     if not disagreements:
         return []
     worst = wording.format_sigma(disagreements[0].sigma)
+    chance = ", what chance gives" if disagreements[0].sigma == 0 else ""
     return [
-        f"No significant disagreement{remains} (largest: {worst} sigma, corrected for "
+        f"No significant disagreement{remains} (largest: {worst} sigma{chance}, corrected for "
         f"{len(disagreements)} tests; significant is above {found.policy.unexplained_sigma:g}). The test uses the "
         f"{len(found.data.clips)} fitted {found.data.unit}."
     ]
@@ -228,8 +246,25 @@ def _parameter_table(found: SearchOutcome) -> PageTable:
     for name in found.best_fit.names:
         base = f"{found.base_fit.model.value(name):.6g}" if name in found.base_fit.names else ""
         best = f"{found.best_fit.model.value(name):.6g}"
-        rows.append([name, _unit(name), base, *([] if found.is_empty else [best])])
-    return PageTable(["parameter", "unit", *list_models(found)], rows)
+        std = found.best_fit.std[name] if _has_errors(found) else math.nan
+        if std > 0 and not is_at_limit(name, found.best_fit.model.value(name)):
+            best = f"{round_to_error(found.best_fit.model.value(name), std, 2)} ± {std:.2g}"
+        rows.append([name, _unit(name), *([best] if found.is_empty else [base, best])])
+    known = {name: text for name, text in wording.BASE_MEANINGS.items() if name in found.best_fit.names}
+    note = "; ".join(f"{name}: {text}" for name, text in known.items())
+    note = f"{note[:1].upper()}{note[1:]}. " if note else ""
+    if not _has_errors(found):
+        note += "No errors are given, because errors from noise alone are too small here."
+    elif not found.is_empty:
+        note += "± is one standard error. The base model does not describe the data, so its values have no errors."
+    return PageTable(["parameter", "unit", *list_models(found)], rows, note=note)
+
+
+def _has_errors(found: SearchOutcome) -> bool:
+    """Tell if errors that follow from noise are valid for the shared parameters of the best model."""
+    return (
+        found.is_complete and not found.data.is_cut and not found.free_law and found.verdict is not Verdict.INADEQUATE
+    )
 
 
 def _unit(name: str) -> str:

@@ -14,7 +14,16 @@ class Adhesion(Effect):
     gone in flight. Friction is mu times the load (Coulomb).
     """
 
-    pull: float = parameter("1", typical=0.1, low=-0.5, high=5)
+    pull: float = parameter(
+        "1",
+        typical=0.1,
+        low=-0.5,
+        high=5,
+        meaning=(
+            "the plate attracts a ball with {} of its weight",
+            "the load of a ball is smaller by {} of its weight",
+        ),
+    )
 
     def normal_load(self, load: Any, gravity: float) -> Any:
         return load + self.pull * gravity

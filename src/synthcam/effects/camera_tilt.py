@@ -16,8 +16,20 @@ class CameraTilt(Effect):
     shifts the picture so that the middle of the plate appears where the file says; the keystone distortion remains.
     """
 
-    x: float = parameter("rad", typical=5e-3, low=-0.3, high=0.3)
-    y: float = parameter("rad", typical=5e-3, low=-0.3, high=0.3)
+    x: float = parameter(
+        "rad",
+        typical=5e-3,
+        low=-0.3,
+        high=0.3,
+        meaning=("the camera is turned by {} about +x", "the camera is turned by {} about -x"),
+    )
+    y: float = parameter(
+        "rad",
+        typical=5e-3,
+        low=-0.3,
+        high=0.3,
+        meaning=("the camera is turned by {} about +y", "the camera is turned by {} about -y"),
+    )
 
     def camera(self, camera: Any) -> Any:
         (sx, sy), (cx, cy) = np.sin([self.x, self.y]), np.cos([self.x, self.y])

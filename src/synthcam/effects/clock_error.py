@@ -14,7 +14,16 @@ class ClockError(Effect):
     meant for scenes.
     """
 
-    e: float = parameter("1", typical=1e-3, low=-0.3, high=0.3)
+    e: float = parameter(
+        "1",
+        typical=1e-3,
+        low=-0.3,
+        high=0.3,
+        meaning=(
+            "frames are further apart by the fraction {} than camera.json says",
+            "frames are closer together by the fraction {} than camera.json says",
+        ),
+    )
 
     def clock(self, t: Any) -> Any:
         return t * (1 + self.e)

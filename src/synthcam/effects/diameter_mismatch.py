@@ -10,7 +10,16 @@ from synthcam.effect import Effect, parameter
 class DiameterMismatch(Effect):
     """Ball a is larger by the fraction excess; of the same steel, its mass grows as the cube."""
 
-    excess: float = parameter("1", typical=1e-3, low=-0.2, high=0.2)
+    excess: float = parameter(
+        "1",
+        typical=1e-3,
+        low=-0.2,
+        high=0.2,
+        meaning=(
+            "the diameter of ball a is larger by the fraction {}",
+            "the diameter of ball a is smaller by the fraction {}",
+        ),
+    )
 
     def radius(self, radius: Any) -> Any:
         return radius * (1 + self.excess)

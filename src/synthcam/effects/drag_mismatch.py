@@ -18,8 +18,8 @@ class DragMismatch(Effect):
     Phys. 41 (1970) 2067). Unlike `rolling_mismatch`, it acts while the ball slides, too.
     """
 
-    a: float = parameter("1/s", typical=0.01, low=-1, high=10)
-    b: float = parameter("1/s", typical=0.01, low=-1, high=10)
+    a: float = parameter("1/s", typical=0.01, low=-1, high=10, meaning=("a drag slows ball a", "ball a gains speed"))
+    b: float = parameter("1/s", typical=0.01, low=-1, high=10, meaning=("a drag slows ball b", "ball b gains speed"))
 
     def push(self, acceleration: Any, velocity: Any, of_a: Any) -> NDArray[np.float64]:
         rate = self.b + (self.a - self.b) * (of_a + 0 * velocity[..., 0])

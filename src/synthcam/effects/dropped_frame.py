@@ -12,7 +12,9 @@ from synthcam.effect import Effect, parameter
 class DroppedFrame(Effect):
     """From frame `frame` on, pictures are `lost` frames later than their number says."""
 
-    lost: float = parameter("1", typical=1.0, low=-5, high=5)
+    lost: float = parameter(
+        "1", typical=1.0, low=-5, high=5, meaning=("{} frames are missing", "{} frames are counted too often")
+    )
     frame: float = parameter("1", typical=40.0, low=0, high=1e6, fixed=True, tries=range(1, 500))
 
     def clock(self, t: Any, fps: Any) -> Any:

@@ -14,8 +14,23 @@ class FrictionAnisotropy(Effect):
     size e has c = e cos 2 th0 and s = e sin 2 th0.
     """
 
-    c: float = parameter("1", typical=0.1, low=-0.45, high=0.45)
-    s: float = parameter("1", typical=0.1, low=-0.45, high=0.45)
+    c: float = parameter(
+        "1",
+        typical=0.1,
+        low=-0.45,
+        high=0.45,
+        meaning=("friction is larger along x than along y", "friction is larger along y than along x"),
+    )
+    s: float = parameter(
+        "1",
+        typical=0.1,
+        low=-0.45,
+        high=0.45,
+        meaning=(
+            "friction is larger at +45 degrees to x than at -45 degrees",
+            "friction is larger at -45 degrees to x than at +45 degrees",
+        ),
+    )
 
     def friction(self, mu: Any, slip: Any) -> Any:
         cos, sin = slip[..., 0], slip[..., 1]

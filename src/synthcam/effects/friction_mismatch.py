@@ -15,7 +15,16 @@ class FrictionMismatch(Effect):
     Exchanging the balls in half of the clips separates the two.
     """
 
-    excess: float = parameter("1", typical=0.01, low=-0.9, high=10)
+    excess: float = parameter(
+        "1",
+        typical=0.01,
+        low=-0.9,
+        high=10,
+        meaning=(
+            "the sliding friction of ball a is larger by the fraction {}",
+            "the sliding friction of ball a is smaller by the fraction {}",
+        ),
+    )
 
     def friction(self, mu: Any, of_a: Any) -> Any:
         return mu * (1 + self.excess * of_a)

@@ -26,7 +26,13 @@ class MagneticAttraction(Effect):
     scene) is therefore pulled off before it is hit, and moves towards the striker.
     """
 
-    pull: float = parameter("m/s^2", typical=0.1, low=-0.5, high=0.5)
+    pull: float = parameter(
+        "m/s^2",
+        typical=0.1,
+        low=-0.5,
+        high=0.5,
+        meaning=("the balls attract each other, by {} at contact", "the balls repel each other, by {} at contact"),
+    )
 
     def push(self, acceleration: Any, other: Any, mass: Any, ball: Any) -> NDArray[np.float64]:
         nearest = 0.8  # diameters: closer centres occur only in paths that a solver tries and rejects

@@ -16,7 +16,16 @@ class PixelLocking(Effect):
     first harmonic.
     """
 
-    amplitude: float = parameter("px", typical=0.02, low=-0.35, high=0.35)
+    amplitude: float = parameter(
+        "px",
+        typical=0.02,
+        low=-0.35,
+        high=0.35,
+        meaning=(
+            "positions are drawn by up to {} to the middles of pixels",
+            "positions are drawn by up to {} to the edges of pixels",
+        ),
+    )
 
     def measure(self, pixels: Any) -> Any:
         return pixels - self.amplitude * np.sin(2 * np.pi * pixels)

@@ -17,8 +17,20 @@ class PlateTilt(Effect):
     (5/7) g sin(tilt) is under rolling_decel. The loss of load, 1 - cos(tilt), 5e-7 at 1 mrad, is neglected.
     """
 
-    x: float = parameter("rad", typical=1e-3, low=-0.1, high=0.1)
-    y: float = parameter("rad", typical=1e-3, low=-0.1, high=0.1)
+    x: float = parameter(
+        "rad",
+        typical=1e-3,
+        low=-0.1,
+        high=0.1,
+        meaning=("the plate falls by {} towards +x", "the plate falls by {} towards -x"),
+    )
+    y: float = parameter(
+        "rad",
+        typical=1e-3,
+        low=-0.1,
+        high=0.1,
+        meaning=("the plate falls by {} towards +y", "the plate falls by {} towards -y"),
+    )
 
     def push(self, acceleration: Any, gravity: float) -> NDArray[np.float64]:
         return np.asarray(acceleration + gravity * np.sin([self.x, self.y]))

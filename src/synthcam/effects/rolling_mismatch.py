@@ -15,8 +15,16 @@ class RollingMismatch(Effect):
     ball slides.
     """
 
-    drag: float = parameter("1/s", typical=0.01, low=-0.1, high=10)
-    decel: float = parameter("m/s^2", typical=1e-3, low=-0.01, high=1)
+    drag: float = parameter(
+        "1/s", typical=0.01, low=-0.1, high=10, meaning=("ball a loses more in rolling", "ball a loses less in rolling")
+    )
+    decel: float = parameter(
+        "m/s^2",
+        typical=1e-3,
+        low=-0.01,
+        high=1,
+        meaning=("ball a loses more in rolling", "ball a loses less in rolling"),
+    )
 
     def rolling(self, loss: Any, speed: Any, of_a: Any) -> Any:
         return loss + of_a * (self.drag * speed + self.decel)

@@ -14,7 +14,13 @@ class RollingQuadratic(Effect):
     next term after those of Painter & Behringer, PRE 62 (2000) 2380.
     """
 
-    K: float = parameter("1/m", typical=0.1, low=-0.1, high=10)
+    K: float = parameter(
+        "1/m",
+        typical=0.1,
+        low=-0.1,
+        high=10,
+        meaning=("the loss is larger at high speed", "the loss is smaller at high speed"),
+    )
 
     def rolling(self, loss: Any, speed: Any) -> Any:
         return loss + self.K * speed**2

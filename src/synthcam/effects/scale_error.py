@@ -10,7 +10,16 @@ from synthcam.effect import Effect, parameter
 class ScaleError(Effect):
     """The camera magnifies more than camera.json says, by the fraction e."""
 
-    e: float = parameter("1", typical=1e-3, low=-0.3, high=0.3)
+    e: float = parameter(
+        "1",
+        typical=1e-3,
+        low=-0.3,
+        high=0.3,
+        meaning=(
+            "the camera magnifies more than camera.json says, by the fraction {}",
+            "the camera magnifies less than camera.json says, by the fraction {}",
+        ),
+    )
 
     def camera(self, camera: Any) -> Any:
         matrix = camera.K.copy()

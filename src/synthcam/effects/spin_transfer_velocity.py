@@ -13,7 +13,13 @@ class SpinTransferVelocity(Effect):
     There is no published law: this is the first term of any.
     """
 
-    c: float = parameter("1", typical=0.1, low=-0.9, high=0.9)
+    c: float = parameter(
+        "1",
+        typical=0.1,
+        low=-0.9,
+        high=0.9,
+        meaning=("more spin is transferred at high speed", "less spin is transferred at high speed"),
+    )
 
     def spin_transfer(self, c: Any, approach_speed: Any) -> Any:
         return c * (1 + self.c * (approach_speed / 0.3 - 1))

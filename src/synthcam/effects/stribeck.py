@@ -15,7 +15,13 @@ class Stribeck(Effect):
     Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083.
     """
 
-    rise: float = parameter("1", typical=0.3, low=-0.9, high=5)
+    rise: float = parameter(
+        "1",
+        typical=0.3,
+        low=-0.9,
+        high=5,
+        meaning=("friction is larger at slow slip", "friction is smaller at slow slip"),
+    )
     slip: float = parameter("m/s", typical=0.1, low=0.003, high=3, fixed=True)
 
     def friction(self, mu: Any, slip_speed: Any) -> Any:

@@ -14,7 +14,13 @@ class VelocityRestitution(Effect):
     Ramirez, Poeschel, Brilliantov & Schwager, PRE 60 (1999) 4465.
     """
 
-    e: float = parameter("1", typical=0.2, low=-1, high=1)
+    e: float = parameter(
+        "1",
+        typical=0.2,
+        low=-1,
+        high=1,
+        meaning=("the restitution falls with the speed", "the restitution rises with the speed"),
+    )
 
     def restitution(self, r: Any, normal_speed: Any) -> Any:
         power = 1 / 5

@@ -13,7 +13,13 @@ class ViscousFriction(Effect):
     Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083.
     """
 
-    k: float = parameter("s/m", typical=0.2, low=-0.5, high=10)
+    k: float = parameter(
+        "s/m",
+        typical=0.2,
+        low=-0.5,
+        high=10,
+        meaning=("friction grows with the slip speed", "friction falls with the slip speed"),
+    )
 
     def friction(self, mu: Any, slip_speed: Any) -> Any:
         return mu * (1 + self.k * slip_speed)

@@ -12,9 +12,10 @@ from discrepancy_outsiders import OUTSIDERS, outsider
 from discrepancy.report import search_page as report
 from discrepancy.report.figures import _fits_to_draw, _gap_by_phase_figure, draw_search_figures, name_best_model
 from discrepancy.validate.claim_tests import leave_one_out_residuals
-from discrepancy.wording import format_chi2, write_story
+from discrepancy.wording import VERDICT_MEANINGS, format_chi2, write_story
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
+from synthcam_shared.report.numbers import round_to_error
 
 WITH_A_MAP = pytest.param("friction_place", marks=pytest.mark.gate)
 
@@ -23,7 +24,8 @@ WITH_A_MAP = pytest.param("friction_place", marks=pytest.mark.gate)
 def written(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     found = outsider(request.param) if request.param in OUTSIDERS else searched(request.param)
-    found = dataclasses.replace(found, left_out=("clip 9: <b>no</b> collision",))
+    paths = {"measured": "out/my_tracks", "base_model": "my_model.yaml"}
+    found = dataclasses.replace(found, left_out=("clip 9: <b>no</b> collision",), **paths)
     report.write(found, folder)
     return found, folder
 
@@ -68,6 +70,8 @@ def test_the_page_gives_the_verdict_and_defines_its_terms(written):
     assert f'<p class="summary">Verdict: {written[0].verdict}</p>' in page
     assert "Ball 1 is struck, ball 2 strikes." in page
     assert "noise alone gives slightly less than 1" in page
+    assert f"<li>Verdict {written[0].verdict}: {VERDICT_MEANINGS[written[0].verdict]}.</li>" in page
+    assert '<p class="summary">Tracks: out/my_tracks. Base model: my_model.yaml.</p>' in page
 
 
 def test_no_table_lists_disagreements_that_are_not_significant(written):
@@ -106,7 +110,7 @@ def test_the_page_distinguishes_a_similar_effect_from_an_alias(tmp_path, without
 
     alone = (claim.effect,)
     strong = similar(sigma=100.0, aliases=alone)
-    assert "The data exclude each of these in its place, so it is no alias: hop (cosine 0.980)." in strong
+    assert f"The data exclude each of these in place of {claim.effect}: hop (cosine 0.980)." in strong
     assert re.search(r"<td[^>]*>none</td>", strong)
     assert "The data do not exclude: hop (cosine 0.980)." in similar(sigma=10.0, aliases=alone)
     assert "The data do not exclude: hop (cosine 0.980)." in similar(sigma=100.0, aliases=(*alone, "hop"))
@@ -170,3 +174,16 @@ def test_strengths_and_fitted_parameters_have_their_units(written):
     assert (units["rolling_drag"], units["rolling_decel"], units["restitution"]) == ("1/s", "m/s^2", "")
     shown = [row[3] for row in rows if row[:2] == ["velocity_restitution", "e"]]
     assert shown == [""] * len(found.named)
+
+
+def test_parameters_have_errors_only_where_nothing_more_is_missing(tmp_path, without_figures):
+    found = searched("velocity_restitution")
+    value, std = found.best_fit.model.restitution, found.best_fit.std["restitution"]
+    base = f"{found.base_fit.model.restitution:.6g}"
+    more = (dataclasses.replace(found.base_disagreements[0], sigma=9.0),)
+    for left, best in ((found.disagreements, f"{round_to_error(value, std, 2)} ± {std:.2g}"), (more, f"{value:.6g}")):
+        report.write(dataclasses.replace(found, disagreements=left), tmp_path)
+        page = (tmp_path / "index.html").read_text()
+        rows = [re.findall(r"<td[^>]*>(.*?)</td>", line) for line in re.findall(r"<tr>(.*?)</tr>", page)]
+        assert ["restitution", "", base, best] in rows
+        assert ("No errors are given" in page) == (left is more)
