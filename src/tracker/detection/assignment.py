@@ -120,7 +120,10 @@ def _log_density(square: Array, variance: Array | float) -> Array:
 
 
 def _confirm(step: _Step, near: Ints, gain: Array, following: Array, later: int) -> None:
-    """Lower the gain of a first step that none of the detections continues which follow some frames later."""
+    """Lower the gain of a first step that none of the detections continues which follow some frames later.
+
+    After a longer step more room is searched, in which a detection of another ball may lie by chance. It confirms less.
+    """
     unconfirmed = 0.05  # probability that the next frame does not show a ball where its motion leads
     i, k = np.nonzero((step.before.count == 1)[:, None] & (gain > 0))
     if not len(i):
@@ -128,8 +131,9 @@ def _confirm(step: _Step, near: Ints, gain: Array, following: Array, later: int)
     there = step.found[near[i, k]]
     speed = (there - step.before.xy[i]) / step.frames
     apart = cKDTree(following).query(there + speed * later)[0] if len(following) else np.full(len(i), np.inf)
-    wide = 3 * step.noise.position + step.noise.acceleration + step.noise.bend * np.hypot(*speed.T)
-    gain[i, k] += np.log(unconfirmed + np.exp(-((apart / wide) ** 2) / 2))
+    least = 3 * step.noise.position + step.noise.acceleration
+    wide = least + step.noise.bend * np.hypot(*speed.T)
+    gain[i, k] += np.log(unconfirmed + (least / wide) ** 2 * np.exp(-((apart / wide) ** 2) / 2))
 
 
 def _assign(gain: Array, near: Ints, found: int) -> tuple[Ints, Ints]:

@@ -9,9 +9,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from synthcam_shared.arrays import Array, Ints
 from tracker.camera.camera import Camera
+from tracker.camera.frames import pick_spread
 from tracker.detection.assignment import link_frame
 from tracker.detection.few_balls import follow_apart
 from tracker.detection.glints import Glints, RowArrays, describe_flags
@@ -167,15 +169,48 @@ def _expect_motion(glints: Glints, camera: Camera, seen_whole: float | None, set
     errors = np.sqrt(np.trace(glints.cov, axis1=1, axis2=2) / 2)
     error = float(np.median(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else 0.0
     push = max_acceleration_m_s2 / camera.fps**2 / camera.scale if camera.metric else 0.0
+    position = max(error, min_error_px)
     return MotionNoise(
         diameter=diameter,
         reach=max(reach, (2.0 if seen_whole is None else settings.max_step_diameters) * diameter),
-        position=max(error, min_error_px),
-        acceleration=max(push, min_error_px),
+        position=position,
+        acceleration=max(push, min_error_px, measure_acceleration(glints, position)),
         tolerance=settings.speed_tolerance if seen_whole is None else 1.0,
         restitution=settings.restitution,
         false_density=1.0 / float(np.prod(camera.size)),
     )
+
+
+def measure_acceleration(glints: Glints, position_error: float) -> float:
+    """Measure the typical change of a velocity from frame to frame along an axis, px per frame^2; 0 where it is small.
+
+    Shaken, driven or magnetic bodies turn between hits, and an encoder moves positions by more than their errors. The
+    change is that of steps which nobody can mistake: both are to the nearest detection, and the next one is much
+    farther. What errors of positions explain is taken out.
+    """
+    most_frames, least_steps, least_bodies = 40, 30, 3
+    clear_share = 0.3  # of the distance to the second nearest detection, which such a step has at most
+    seen, xy, turns = np.unique(glints.frame), glints.xy, [np.empty((0, 2))]
+    for frame in pick_spread(seen[:-2].tolist(), most_frames) if len(seen) > 2 else []:
+        here, there, then = (xy[glints.frame == frame + later] for later in range(3))
+        if min(len(here), len(there), len(then)) >= least_bodies:
+            first, second = _find_clear_steps(here, there, clear_share), _find_clear_steps(there, then, clear_share)
+            rows = np.flatnonzero((first >= 0) & (second[first] >= 0))
+            middle = first[rows]
+            turns.append(then[second[middle]] - 2 * there[middle] + here[rows])
+    changes = np.concatenate(turns).ravel()
+    if len(changes) < 2 * least_steps:
+        return 0.0
+    spread = 1.4826 * float(np.median(np.abs(changes)))
+    return float(np.sqrt(max(spread**2 - 6 * position_error**2, 0.0)))
+
+
+def _find_clear_steps(start: Array, end: Array, clear_share: float) -> Ints:
+    """The detection (n,) of the next frame to which each leads beyond doubt, or -1."""
+    away, to = (np.asarray(values) for values in cKDTree(end).query(start, k=2))
+    back = np.asarray(cKDTree(start).query(end)[1])
+    clear = (back[to[:, 0]] == np.arange(len(start))) & (away[:, 0] < clear_share * away[:, 1])
+    return np.where(clear, to[:, 0], -1)
 
 
 def _keep_ball_tracks(

@@ -12,7 +12,7 @@ from tracker.camera.recordings import Recording
 from tracker.detection import assignment
 from tracker.detection.detect import load_linker
 from tracker.detection.glints import Glints, PositionFlag
-from tracker.detection.link import assign_track_numbers, estimate_velocities, link_into_tracks
+from tracker.detection.link import assign_track_numbers, estimate_velocities, link_into_tracks, measure_acceleration
 from tracker.recording import track_clip
 
 CAM = Camera.from_dict({**CAMERA, "size": [640, 480]})
@@ -166,6 +166,53 @@ def test_a_crowd_keeps_its_identities(scene, seed):
         Glints.join([glints(seen.frame.to_numpy(), xy), spots]), Camera.from_dict(clip.camera_json)
     )
     assert pure(ids[: len(seen)], seen.particle.to_numpy())
+
+
+def driven(rng, frames=40, columns=5, spacing=120.0, speed=6.0, push=1.7):
+    """Paths (frames, bodies, 2) of bodies that are pushed about at random, each by a soft spring near a cell."""
+    cells = spacing * (1 + np.stack(np.meshgrid(np.arange(columns), np.arange(columns)), axis=-1).reshape(-1, 2))
+    turn = rng.uniform(0, 2 * np.pi, len(cells))
+    v, xy, paths = speed * np.column_stack([np.cos(turn), np.sin(turn)]), cells.copy(), []
+    for _ in range(frames):
+        paths.append(xy.copy())
+        v += push * rng.standard_normal(v.shape) - 0.05 * (xy - cells)
+        xy += v
+    return np.array(paths)
+
+
+IN_PIXELS = Camera.from_dict({key: value for key, value in CAMERA.items() if key != "scale"} | {"size": [720, 720]})
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_pushes_between_hits_exchange_no_identities(seed):
+    """Magnetic or shaken bodies change their velocity in every frame; some of them are lost for a few frames."""
+    rng = np.random.default_rng(seed)
+    paths = driven(rng)
+    lost = {(0, 7), (0, 20)}  # the first frame lacks two
+    for body in rng.choice(paths.shape[1], 10, replace=False):
+        begin = int(rng.integers(5, 30))
+        lost |= {(k, int(body)) for k in range(begin, begin + int(rng.integers(1, 4)))}
+    found, truth = scattered(rng, paths, lost=lost)
+    assert pure(assign_track_numbers(found, IN_PIXELS, 44.0), truth)
+
+
+def test_a_long_first_step_is_not_confirmed_by_another_ball_that_happens_to_lie_there():
+    """A ball turns, another appears 110 px away, and where the jump between them would lead next, a third one rests."""
+    paths = np.full((6, 3, 2), np.nan)
+    paths[:, 0] = [(200, 200), (211, 206), (214, 217), (217, 228), (220, 239), (223, 250)]
+    paths[1:, 1] = (300, 150)
+    paths[:, 2] = (400, 98)
+    found, truth = scattered(np.random.default_rng(0), paths)
+    assert pure(assign_track_numbers(found, IN_PIXELS, 44.0), truth)
+
+
+def test_the_push_of_driven_bodies_is_measured():
+    rng = np.random.default_rng(5)
+    paths = driven(rng)
+    found, _ = scattered(rng, paths, noise=0.02)
+    assert measure_acceleration(found, 0.02) == pytest.approx(float(np.std(np.diff(paths, 2, axis=0))), rel=0.15)
+    still, _ = scattered(rng, driven(rng, push=0.0, speed=0.0), noise=0.02)
+    assert measure_acceleration(still, 0.02) < 0.02
 
 
 def test_blips_and_faint_companions_are_refused():
