@@ -16,8 +16,9 @@ from synthcam_shared.errors import CALLED_BY_COMMAND
 from synthcam_shared.interruption import raise_if_interrupted, was_interrupted, watch_ctrl_c
 
 UsageError: Any = typer.BadParameter.__mro__[1]  # of click, or of the copy of click in typer
-PROGRESS_INTERVAL_S = 30.0  # between two lines of progress if there is no terminal for a bar
-PROGRESS_INTERVAL = "SYNTHCAM_PROGRESS_S"  # the variable of the environment by which a program asks for another one
+PROGRESS_INTERVAL = (
+    "SYNTHCAM_PROGRESS_S"  # the variable of the environment that sets the time between two lines of progress
+)
 
 # Set before numpy is loaded. Matrices are small here: BLAS's threads would wait for each other longer than they work,
 # even more so beside other processes.
@@ -138,10 +139,10 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
         yield show
 
 
-def read_progress_interval() -> float:
-    """The time between two lines of progress, s: PROGRESS_INTERVAL of the environment, or PROGRESS_INTERVAL_S."""
+def read_progress_interval(usual: float = 30.0) -> float:
+    """The time between two lines of progress if there is no terminal, s, by PROGRESS_INTERVAL of the environment."""
     asked = os.environ.get(PROGRESS_INTERVAL, "")
-    return float(asked) if re.fullmatch(r"\d+(\.\d+)?", asked) else PROGRESS_INTERVAL_S
+    return float(asked) if re.fullmatch(r"\d+(\.\d+)?", asked) else usual
 
 
 def print_progress(what: str) -> Callable[[int, int], None]:

@@ -25,7 +25,6 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 
 MAX_ENTRIES = 20_000  # of one list or mapping in a YAML file
 MAX_VALUES = 800_000  # of a YAML file in all; libyaml reads as many in 3 s
-MAX_DEPTH = 100  # of lists and mappings inside one another
 
 
 class Settings(BaseModel):
@@ -92,10 +91,10 @@ class TooLongError(yaml.MarkedYAMLError):
     """A YAML text has too many values to be read in a few seconds."""
 
 
-def _check_events(text: str) -> None:
+def _check_events(text: str, max_depth: int = 100) -> None:
     """Refuse aliases, deep nesting and too many values at the first one, before the text is read into memory.
 
-    This takes a tenth of the time of reading. Raises YAMLError.
+    This takes a tenth of the time of reading. Raises YAMLError. max_depth: of lists and mappings inside one another.
     """
     inside, counts, key, values = list[bool](), list[int](), "", 0  # whether it is a list, and its values so far
     for event in yaml.parse(text, Loader=SafeLoader):
@@ -119,7 +118,7 @@ def _check_events(text: str) -> None:
         if isinstance(event, yaml.CollectionStartEvent):
             inside.append(isinstance(event, yaml.SequenceStartEvent))
             counts.append(0)
-            if len(counts) > MAX_DEPTH:
+            if len(counts) > max_depth:
                 raise yaml.MarkedYAMLError(problem="nested too deeply", problem_mark=mark)
 
 

@@ -20,10 +20,8 @@ from tracker.results import read_clip
 from tracker.results import read_contact_table as read_all_contacts
 
 NAMES = ("v0", "b", "r", "s", "mass_ratio")  # what is read of the local estimate
-NEEDED = ("v0_local", "b_local", "r_local", "s_local", "mass_ratio", "local", "local_shared", "status")
 QUANTITIES = ("restitution", "friction", "recoil")
 PER_IMPULSE = 2.5  # change of R times the spin of a solid ball, over J/m
-PER_IMPULSE_OF_DISC = 2.0  # the same of a disc, as bodies that glide are taken to be
 USUAL_FRICTION = 0.15  # of steel, glass and plastic, on one another and on a wall
 AXES = ("1i", "2i", "1o", "2o")  # struck and striking ball, before and after the contact
 
@@ -189,15 +187,16 @@ def _iterate_estimates(
     measured: Path | Sequence[Result],
 ) -> Iterator[tuple[int, pd.DataFrame, float, Callable[[], pd.DataFrame]]]:
     """Yield of clips with local estimates: number, rows, stated mass ratio, and a function that gives all contacts."""
+    needed = {"v0_local", "b_local", "r_local", "s_local", "mass_ratio", "local", "local_shared", "status"}
     if isinstance(measured, Path):
         table = pd.read_parquet(measured / "estimates.parquet")
-        for number, rows in table.groupby("clip") if set(NEEDED) <= set(table) else ():
+        for number, rows in table.groupby("clip") if needed <= set(table) else ():
             clip = int(str(number))
             ratio = read_clip(measured, clip)[1].mass_ratio
             yield clip, rows, ratio or 1.0, partial(read_all_contacts, measured, clip)
         return
     for k, result in enumerate(measured):
-        if set(NEEDED) <= set(result.estimates):
+        if needed <= set(result.estimates):
             ratio = result.camera.mass_ratio
             yield k, result.estimates.assign(clip=k), ratio or 1.0, partial(getattr, result, "contacts")
 
@@ -278,5 +277,5 @@ def _find_slip(row: Mapping[Any, Any], turning: float, variance: float, glides: 
         friction=sign * impulse / normal_impulse,
         friction_std=float(np.hypot(impulse_std, impulse * float(row["r_local_std"]) / (1 + r)) / normal_impulse),
     )
-    per_impulse = PER_IMPULSE_OF_DISC if glides else PER_IMPULSE
+    per_impulse = 2.0 if glides else PER_IMPULSE  # bodies that glide are taken to be discs
     return slip, -per_impulse * impulse, per_impulse * impulse_std

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-SHOWN_FRAMES = 5  # of those that a note concerns
-
 
 class SearchNoteKind(Enum):
     """The subject of a note; its value is the text, a template for the note's values."""
@@ -86,7 +84,8 @@ class SearchNote:
     values: dict[str, Any] = field(default_factory=dict)  # the numbers and words that the text of this kind contains
 
     def __str__(self) -> str:
-        frames, more = ", ".join(map(str, self.frames[:SHOWN_FRAMES])), len(self.frames) - SHOWN_FRAMES
+        shown = 5  # frames, of those that the note concerns
+        frames, more = ", ".join(map(str, self.frames[:shown])), len(self.frames) - shown
         text = self.kind.value.format(frames=frames + (f" and {more} more" if more > 0 else ""), **self.values)
         return text if self.clip is None else f"clip {self.clip}: {text}"
 

@@ -23,7 +23,6 @@ from synthcam.model import Model
 from synthcam_shared.arrays import Array
 
 SLIDES = (0.2, 0.5, 0.9)  # shares of a stretch for which its ball may slide
-LOSSES = ("sliding_friction", "rolling_decel", "rolling_drag")  # the first two that a model has are fitted
 
 
 def choose_starts(
@@ -39,7 +38,8 @@ def choose_starts(
     Returns the stretches, and for each clip a note on those that are left out. Bodies glide if the model has no
     friction.
     """
-    best, losses = _fit_from_each(clips, model, slides), [name for name in LOSSES if getattr(model, name)][:2]
+    best, names = _fit_from_each(clips, model, slides), ("sliding_friction", "rolling_decel", "rolling_drag")
+    losses = [name for name in names if getattr(model, name)][:2]
     if not best:
         return list(clips), []
     limit = most_chi2 * float(np.median([chi2 for chi2, _ in best]))

@@ -13,7 +13,7 @@ covariance. Each quantity has a few laws, the simplest first. A law with more nu
 The same contacts cannot distinguish all causes. Such causes are named together.
 
 In a film of a crowd a third body may meet two balls within a frame. Then the estimate of their contact is wrong by far
-more than its error. So each contact of a crowd has a probability ODD_SHARE to be odd, with a wide error. A law pays for
+more than its error. So each contact of a crowd has a probability of 5 % to be odd, with a wide error. A law pays for
 each contact that it takes as odd. Each ball may be the heavier one, and trying them all is paid for as well.
 """
 
@@ -32,9 +32,9 @@ from discrepancy.policy import current_policy
 from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.random_effects import fit_random_effects
 
-ODD_SHARE = 0.05  # of the contacts of a crowd that a third body disturbs; 2 of 48 and 1 of 33 in two films of thirty
 ODD_ERROR = 0.3  # standard error of restitution, friction and recoil of such a contact
-ODD_PRICE = 2 * math.log(1 / ODD_SHARE - 1)  # of an odd contact, in -2 log likelihood
+# Price of an odd contact in -2 log likelihood. A third body disturbs 5 %: 2 of 48 and 1 of 33 in two films of thirty.
+ODD_PRICE = 2 * math.log(1 / 0.05 - 1)
 
 
 @dataclass(frozen=True)

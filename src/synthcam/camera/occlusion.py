@@ -6,20 +6,21 @@ from scipy.spatial import cKDTree
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam_shared.arrays import Array, Flags
 
-OUTLINE_POINTS = 400  # of the outline of a ball, evenly spread, that are looked for behind the others
 
-
-def compute_hidden_shares(camera: PinholeCamera, centres: Array, radii: Array, *, max_paired: int = 8) -> Array:
+def compute_hidden_shares(
+    camera: PinholeCamera, centres: Array, radii: Array, *, max_paired: int = 8, outline_points: int = 400
+) -> Array:
     """Share (n, frames) of the outline of each ball, 0 to 1, that balls nearer to the camera cover, in and out of view.
 
     centres: (n, frames, 3), m; NaN in frames in which a ball is nowhere. radii: (n,), m; NaN for bodies that are not
     balls. Balls with NaN hide nothing and get NaN.
 
     max_paired: up to so many balls, frames in which no two overlap are found first, by all pairs in all frames at once.
+    outline_points: of the outline of a ball, evenly spread, that are searched for behind the others.
     """
-    k = np.arange(OUTLINE_POINTS) + 0.5
+    k = np.arange(outline_points) + 0.5
     spiral = k * np.pi * (3 - np.sqrt(5))  # of the golden angle: points evenly spread over the unit disc
-    points = np.sqrt(k / OUTLINE_POINTS)[:, None] * np.column_stack([np.cos(spiral), np.sin(spiral)])
+    points = np.sqrt(k / outline_points)[:, None] * np.column_stack([np.cos(spiral), np.sin(spiral)])
     there = np.isfinite(radii)[:, None] & np.isfinite(centres).all(axis=2)
     sights = centres - camera.centre
     fars = np.linalg.norm(sights, axis=2)

@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 
 from synthcam_shared.arrays import Array, Flags, Index
 
-CHAINS_AT_ONCE = 8192  # that are grown together, to save memory
 MAX_BOUNCES = 24  # that are followed between two balls
 MIN_RELATIVE_FLUX = 1e-4  # flux of a secondary glint over that of the primary, below which it is left out
 
@@ -257,7 +256,7 @@ def iterate_chains(
     distance. Chains of more than 4 bounces are followed only between two balls: in a heap, all others would be too
     many.
     """
-    balls = len(radii)
+    balls, at_once = len(radii), 8192  # chains that grow together, to save memory
     apart, bright = tabulate_pair_brightness(mirror, faintest)
     moment, ball = np.divmod(np.arange(moments * balls), balls)
     order = np.lexsort([moment, ball])
@@ -269,8 +268,8 @@ def iterate_chains(
     within = reaching[near.first + near.counts] - reaching[near.first]
     for length in range(2, min(len(bright), most_bounces) + 1):
         found = []
-        for first in range(0, len(chains), CHAINS_AT_ONCE):
-            some = slice(first, first + CHAINS_AT_ONCE)
+        for first in range(0, len(chains), at_once):
+            some = slice(first, first + at_once)
             row = moment[some] * balls + chains[some, -1]
             many = within[row]
             grown = first + np.repeat(np.arange(len(row)), many)

@@ -26,9 +26,6 @@ from synthcam.settings import SCENES
 from synthcam_shared.errors import InputError, NoGL
 from synthcam_shared.settings import Settings, build_settings
 
-MAX_BALLS = 60  # that a slider offers
-FRAMES_OF_PATHS = 60  # at most
-
 
 class PreviewRequest(Settings):
     """One line of a request; without `scene` it asks for the names of the scenes.
@@ -70,7 +67,7 @@ def answer_request(values: Any) -> dict[str, Any]:
         raise InputError(f"{request.scene}: no such file among the scenes of synthcam")
     scene, start, moved, clip = _draw_moved_scene(path, tuple(sorted(request.values.items())), request.seed)
     sharp = request.sharp or not is_under_room_light(clip.drawn)
-    times = np.unique(np.linspace(0, clip.frames - 1, FRAMES_OF_PATHS).round()) / clip.camera.fps
+    times = np.unique(np.linspace(0, clip.frames - 1, num=60).round()) / clip.camera.fps
     paths = [clip.camera.project(path).astype(float).tolist() for path in clip.view.at(times)[:, :, :3]]
     shown = clip if sharp else _reduce_camera(moved.settings, clip, request.seed)
     k = find_telling_frame(clip) if request.frame is None else min(request.frame, clip.frames - 1)
@@ -216,14 +213,15 @@ def _scale(value: Any, factor: float) -> Any:
 
 def _count_balls(settings: Mapping[str, Any], drawn: Mapping[str, Any]) -> tuple[int, int, int]:
     """The number of balls, the lowest and the highest: of the last group, of the launches, or in place of a pair."""
+    most = 60  # that a slider offers
     if "groups" in settings:
         count = settings["groups"][-1]["count"]
-        return count, 1, max(count, MAX_BALLS)
+        return count, 1, max(count, most)
     if "launches" in settings:
         return len(settings["launches"]), 1, len(settings["launches"])
     camera, own = drawn["camera"], drawn["ball"]["diameter"]
     area = math.prod(camera["size"]) * camera["scale"] ** 2
-    return 1 + (drawn["launch"]["kind"] == "pair"), 1, max(2, min(MAX_BALLS, int(0.1 * area / own**2)))
+    return 1 + (drawn["launch"]["kind"] == "pair"), 1, max(2, min(most, int(0.1 * area / own**2)))
 
 
 def _set_balls(settings: dict[str, Any], drawn: Mapping[str, Any], count: int) -> None:

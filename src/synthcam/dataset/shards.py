@@ -26,7 +26,6 @@ from synthcam_shared.jobs import Progress, count_cores, run_jobs
 from synthcam_shared.outputs import name_temporary, open_resumable, write_atomically
 
 PLAN = "stream.json"
-BALL_COLUMNS = ("sample", "id", "centre", "box", "visible")  # of a Zarr store
 
 
 @dataclass(frozen=True)
@@ -231,7 +230,8 @@ def _write_zarr(frames: Iterator[LabelledFrame], path: Path) -> None:
 
     chunk_bytes = 4_000_000
     group = zarr.open_group(path, mode="w", zarr_format=3)
-    columns: dict[str, list[Any]] = {name: [] for name in ("clip", "frame", *(f"balls/{c}" for c in BALL_COLUMNS))}
+    balls = ("sample", "id", "centre", "box", "visible")
+    columns: dict[str, list[Any]] = {name: [] for name in ("clip", "frame", *(f"balls/{c}" for c in balls))}
     cameras: dict[str, Any] = {}
     waiting: list[LabelledFrame] = []
     chunk = 1  # frames
@@ -254,7 +254,7 @@ def _write_zarr(frames: Iterator[LabelledFrame], path: Path) -> None:
         columns["clip"].append(frame.clip.number)
         columns["frame"].append(frame.frame)
         columns["balls/sample"] += [number] * len(frame.ids)
-        for name, values in zip(BALL_COLUMNS[1:], (frame.ids, frame.centres, frame.boxes, frame.visible), strict=True):
+        for name, values in zip(balls[1:], (frame.ids, frame.centres, frame.boxes, frame.visible), strict=True):
             columns[f"balls/{name}"] += values.tolist()
         waiting.append(frame)
         if len(waiting) == chunk:

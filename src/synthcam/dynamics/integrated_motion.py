@@ -17,7 +17,6 @@ from synthcam.dynamics.kinematics import fly, plate_state
 from synthcam.model import Bodies
 from synthcam_shared.arrays import Array, Flags, Index, list_gauss_nodes
 
-NEGLIGIBLE_M = 1e-16  # coefficients of all balls that together are smaller are left out
 Pieces = Sequence[tuple[Array, Array]]
 
 
@@ -93,15 +92,15 @@ class IntegratedMotion:
 
     def _average_even(self, elapsed: Array, wide: float) -> Array:
         """Average by the Taylor series: the mean of f over x +- h is the sum of h^(2j)/(2j+1)! f^(2j)(x)."""
-        c = self._position_series[0]
+        c, negligible = self._position_series[0], 1e-16  # m; coefficients that for all balls together are smaller
         half = np.minimum(np.abs(wide / self.durations), 1.0)[:, None]  # a longer span would leave the motion
-        worth = np.flatnonzero(_norms(c) > NEGLIGIBLE_M).max(initial=1)
+        worth = np.flatnonzero(_norms(c) > negligible).max(initial=1)
         term = mean = c[:, :, : worth + 1]
         curvature = make_matrices(term.shape[-1]).curvature
         for j in range(1, (term.shape[-1] + 1) // 2):
             term = multiply_on_nodes(term, curvature) * (half * half / (2 * j * (2 * j + 1)))
             mean = mean + term
-            if _norms(term).max() < NEGLIGIBLE_M:
+            if _norms(term).max() < negligible:
                 break
         return evaluate_series(mean, 2 * elapsed / self.durations[:, None] - 1)
 

@@ -18,10 +18,6 @@ START_NODE_COUNTS = (12, 20, 32, 56)  # nodes of a piece that begins at rest, tr
 MIN_IMPACT_SPEED_OF_PAIR_M_S = 1e-4  # softer impacts of balls that push each other belong to an endless sequence
 UNKNOWN_PAST = "a ball that slides or flies at its launch, pushed by another, has no past: start the run at the launch"
 PUSHED_AWAY = "the ball at rest would be pushed away faster than the other comes"
-NEVER = (
-    "no approach was found to such a contact: for a push so strong the ball that comes, at {:.4g} m/s, is too slow, "
-    "or the one at rest is held again on its way"
-)
 
 
 def push_at_rest(model: Model, bodies: Bodies, states: Array, other: Array) -> Array:
@@ -75,7 +71,10 @@ def solve_approach(
         then[rows] = motion.at(motion.durations[:, None])[own, 0]
         onset[found], left = motion.durations[own[: len(found)]], left[~good]
     if len(left):
-        raise ValueError(NEVER.format(np.hypot(*touching[k + left[0], 3:5])))
+        raise ValueError(
+            "no approach was found to such a contact: for a push so strong the ball that comes, at "
+            f"{np.hypot(*touching[k + left[0], 3:5]):.4g} m/s, is too slow, or the one at rest is held again on its way"
+        )
     hit[:k] = rolling_state(hit[:k, :2], hit[:k, 3:5], hit[:k, 8], bodies.radius[:k])
     then[:k, 3:8] = 0.0
     pieces += propagate_back(BallStates.without_drilling(model, bodies, then, 2), onset, -lasted)

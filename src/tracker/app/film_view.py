@@ -22,8 +22,6 @@ from tracker.camera.recordings import Recording, RecordingSource, make_recording
 
 COLOUR = "colour film"  # the channel of the page that shows all colours
 MAX_KEPT_BYTES = 128 << 20  # of decoded frames, for steps to and fro
-MAX_REDUCTION = 16
-STEPS_BACK = 12  # frames that are decoded at once when one goes back: a video is decoded from a key frame on
 
 
 @dataclass(frozen=True)
@@ -37,10 +35,11 @@ class PictureLook:
     box: tuple[int, int, int, int] | None = None  # left, top, width and height of the part shown, px; None is all
 
     def __post_init__(self) -> None:
+        max_reduction = 16
         if not 0 <= self.low < self.high <= 1:
             raise InputError(f"brightness: expected 0 <= low < high <= 1, not {self.low:g} and {self.high:g}")
-        if not 1 <= self.reduce <= MAX_REDUCTION:
-            raise InputError(f"reduce: expected 1 to {MAX_REDUCTION}, not {self.reduce}")
+        if not 1 <= self.reduce <= max_reduction:
+            raise InputError(f"reduce: expected 1 to {max_reduction}, not {self.reduce}")
 
 
 class FilmView:
@@ -137,7 +136,8 @@ class FilmView:
             if key not in self._kept:
                 back = 0
                 if k + 1 == self._last:
-                    back = min(STEPS_BACK, MAX_KEPT_BYTES // (2 * next(reversed(self._kept.values())).nbytes))
+                    # a video is decoded from a key frame on: decode a dozen at once when one goes back
+                    back = min(12, MAX_KEPT_BYTES // (2 * next(reversed(self._kept.values())).nbytes))
                 for row in range(max(k - back, 0), k + 1):
                     self._keep(row, channel)
             self._last = k

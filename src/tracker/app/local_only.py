@@ -18,7 +18,6 @@ REPORT = (  # a file with its scripts, pictures and styles in it; it can ask for
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; media-src data:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'self'; sandbox allow-scripts"
 )
-MAX_BODY_BYTES = 1 << 16
 
 
 def make_redirect(address: str) -> str:
@@ -74,7 +73,7 @@ class LocalOnly:
             return PlainTextResponse("a request of another page", 403)
         if headers.get("content-type", "") != "application/json":
             return PlainTextResponse("expected JSON", 415)
-        length = headers.get("content-length", "")
-        if not length.isdecimal() or int(length) > MAX_BODY_BYTES:
-            return PlainTextResponse(f"expected at most {MAX_BODY_BYTES} bytes", 413)
+        length, max_bytes = headers.get("content-length", ""), 1 << 16
+        if not length.isdecimal() or int(length) > max_bytes:
+            return PlainTextResponse(f"expected at most {max_bytes} bytes", 413)
         return None

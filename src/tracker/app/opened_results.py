@@ -33,14 +33,10 @@ from tracker.report.collision_figures import list_residuals, view_collision
 from tracker.report.pages import PAGE
 from tracker.results import RUN, rows_as_dicts
 
-MAX_COLLISIONS = 20  # whose numbers the page lists; the report has all
 SEARCHED = "residuals.parquet"  # of a search
 MAX_POSITIONS = 200_000  # of tracks that the page draws
 MAX_FRAMES_ALONE = 10_000_000  # of results without their film: each has a number in memory
-MAX_TRIED_FILMS = 100  # neighbours of results that may be their film
-MAX_SEARCH_S = 2.0  # among them
-MAX_CAMERA_BYTES = 1 << 20  # of a neighbour that may be their camera file
-UNMEASURED = ("no_collision", NO_DIAMETER, NOTHING_ROLLS)
+MAX_SEARCH_S = 2.0  # among neighbours of results for their film
 NEXT_STEP = (
     "If one ball rolls here, point at it by Ball, and limit the search to its path by Region. "
     "If that does not help, remove the wrong tracks by Mend, and mark the ball in each frame by Shift and a click"
@@ -94,13 +90,13 @@ class OpenedResults:
         own = f"{results.clip_folder(self.folder, number).relative_to(self.folder)}/{PAGE}"
         return next((name for name in (own, PAGE) if (self.folder / name).is_file()), "")
 
-    def describe_collisions(self, number: int) -> dict[str, Any]:
-        """The recommended numbers of a clip, with their errors."""
+    def describe_collisions(self, number: int, most: int = 20) -> dict[str, Any]:
+        """The recommended numbers of a clip, with their errors; of more collisions, the first. The report has all."""
         table = self.estimates[self.estimates["clip"] == number]
         return {
             "folder": f"{self.folder}",
-            "collisions": [_describe_collision(row) for row in rows_as_dicts(table.head(MAX_COLLISIONS))],
-            "more": max(len(table) - MAX_COLLISIONS, 0),
+            "collisions": [_describe_collision(row) for row in rows_as_dicts(table.head(most))],
+            "more": max(len(table) - most, 0),
         }
 
     def list_tracks(self, number: int, edits: TrackEdits, film: Ints | None = None) -> list[dict[str, Any]]:
@@ -152,7 +148,7 @@ def _describe_collision(row: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "title": f"Collision {row['collision']}" if is_collision else "Film",
         "status": text.describe_status(row),
-        "why": NEXT_STEP if row["status"] in UNMEASURED and not rows else why,
+        "why": NEXT_STEP if row["status"] in ("no_collision", NO_DIAMETER, NOTHING_ROLLS) and not rows else why,
         "method": text.METHODS[next(iter(text.order_methods(row)))] if measured else "one rolling ball",
         "rows": rows,
     }
@@ -226,10 +222,10 @@ def _add(mark: Any, *parts: bytes) -> str:
     return str(whole.hexdigest())
 
 
-def _read_camera(path: Path) -> bytes:
-    """The content of a file that may be a camera file; b"" of one that is none."""
+def _read_camera(path: Path, max_bytes: int = 1 << 20) -> bytes:
+    """The content of a file that may be a camera file; b"" of one that is none, or is too large for one."""
     with suppress(OSError):
-        if path.is_file() and path.stat().st_size <= MAX_CAMERA_BYTES:
+        if path.is_file() and path.stat().st_size <= max_bytes:
             return path.read_bytes()
     return b""
 
@@ -242,12 +238,12 @@ def _name_film(folder: Path) -> list[Path]:
     return []
 
 
-def _list_neighbours(folder: Path) -> list[Path]:
-    """Files and folders beside results, and beside the folder that they lie in."""
+def _list_neighbours(folder: Path, most: int = 100) -> list[Path]:
+    """Files and folders beside results, and beside the folder that they lie in; of each at most so many."""
     near = list[Path]()
     for one in (folder.parent, folder.parent.parent):
         with suppress(OSError):
-            near += [path for path in islice(sorted(one.iterdir()), MAX_TRIED_FILMS) if path != folder]
+            near += [path for path in islice(sorted(one.iterdir()), most) if path != folder]
     return near
 
 

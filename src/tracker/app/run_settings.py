@@ -18,8 +18,6 @@ from tracker.camera.film_options import FilmOptions
 from tracker.camera.recordings import Recording
 from tracker.detection.choose import name_channel
 
-GEOMETRY = ("K", "R", "t", "dist", "view_errors", "warp", "scale_std", "calibration")  # void with another scale
-NEEDED = {"scale": "a scale (two points and the length between them)", "fps": "the frames a second"}
 FIELDS = {
     "scale": "scale",
     "scale_std": "error of the scale",
@@ -50,12 +48,14 @@ class RunSettings(Settings):
         if not own:
             return dict(given) if given is not None else None
         kept = dict(given or {"size": list(size)})
-        missing = [words for name, words in NEEDED.items() if given is None and name not in own]
+        needed = {"scale": "a scale (two points and the length between them)", "fps": "the frames a second"}
+        missing = [words for name, words in needed.items() if given is None and name not in own]
         if missing:
             there = " and ".join(words for name, words in FIELDS.items() if name in own)
             raise InputError(f"set {' and '.join(missing)}, too; or clear {there}, to track in pixels")
         if "scale" in own and own["scale"] != kept.get("scale"):
-            kept = {name: value for name, value in kept.items() if name not in GEOMETRY}
+            void = {"K", "R", "t", "dist", "view_errors", "warp", "scale_std", "calibration"}
+            kept = {name: value for name, value in kept.items() if name not in void}
         return {**kept, **own, "assumed": [n for n in kept.get("assumed", []) if n not in own]} if given else kept | own
 
     @property

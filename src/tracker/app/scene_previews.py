@@ -15,16 +15,18 @@ from typing import Any
 
 from synthcam_shared.errors import InputError
 
-SERVER = (sys.executable, "-m", "synthcam", "serve")
 SCENES = ("oblique", "head_on", "tray")  # of the package, for the example films; each is drawn in seconds
-OPTIONS = ("--set", "camera.size=[480,360]", "--compression", "zstd", "--seed", "3")
-MAX_DRAWING_S = 60.0  # for one picture; then the process ends, so that the page does not wait for ever
 
 
 class ScenePreviews:
-    """One process, `synthcam serve`, that draws scenes, started at the first request; any thread may `ask`."""
+    """One process, `synthcam serve`, that draws scenes, started at the first request; any thread may `ask`.
 
-    def __init__(self, program: Sequence[str] = SERVER, patience_s: float = MAX_DRAWING_S) -> None:
+    patience_s: for one picture. Then the process ends, so that the page does not wait for ever.
+    """
+
+    def __init__(
+        self, program: Sequence[str] = (sys.executable, "-m", "synthcam", "serve"), patience_s: float = 60.0
+    ) -> None:
         self._program, self._patience_s = program, patience_s
         self._child: subprocess.Popen[str] | None = None
         self._lock = threading.Lock()
@@ -96,7 +98,8 @@ def make_examples() -> Path:
     if not folder.exists():
         print(f"tracker: making the example films in {folder}, once, in some seconds", file=sys.stderr, flush=True)
         folder.parent.mkdir(parents=True, exist_ok=True)
-        words = [sys.executable, "-m", "synthcam", "generate", *SCENES, "-o", f"{folder}", *OPTIONS]
+        options = ["--set", "camera.size=[480,360]", "--compression", "zstd", "--seed", "3"]
+        words = [sys.executable, "-m", "synthcam", "generate", *SCENES, "-o", f"{folder}", *options]
         made = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False)
         if made.returncode:
             last = (made.stderr.strip().splitlines() or ["no message"])[-1]

@@ -22,8 +22,6 @@ from synthcam_shared.errors import InputError
 State = Literal["idle", "running", "done", "failed", "cancelled"]
 PROGRESS = re.compile(r"(\w+): (\d+) of (\d+) after \d+ s(?:, about (\d+) s left)?")
 PROGRAM = re.compile(r"^(tracker|discrepancy|synthcam): ")
-INPUT_ERROR = 2  # the exit status whose message says all
-MAX_LINES = 200  # of the child's messages that are kept
 
 
 @dataclass(frozen=True)
@@ -121,6 +119,7 @@ class TrackProcess:
 
     def _read(self, child: subprocess.Popen[str], printed: IO[str]) -> None:
         assert child.stderr is not None
+        max_lines = 200  # of the child's messages that are kept
         with printed, child.stderr:
             for line in child.stderr:
                 if match := PROGRESS.match(line):
@@ -129,7 +128,7 @@ class TrackProcess:
                     self._set(replace(self.status, what=what, done=done, total=total, left_s=left))
                 else:
                     text = PROGRAM.sub("", line.strip())
-                    lines = (*self.status.lines, text)[-MAX_LINES:]
+                    lines = (*self.status.lines, text)[-max_lines:]
                     self._set(replace(self.status, lines=lines))
             code = child.wait()
             printed.seek(0)
@@ -143,7 +142,8 @@ class TrackProcess:
         else:
             last = self.status.lines[-1] if self.status.lines else f"tracker {self.status.command}"
             ended = f" (ended by signal {-code})" if code < 0 else f" (exit status {code})"
-            self._finish(replace(self.status, state="failed", error=last + ended * (code != INPUT_ERROR)))
+            says_all = code == 2  # an error of the input
+            self._finish(replace(self.status, state="failed", error=last + ended * (not says_all)))
 
     def _finish(self, status: RunStatus) -> None:
         """Show that the run has ended, when what it made is taken."""

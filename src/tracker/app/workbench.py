@@ -46,7 +46,6 @@ FILES_OF_RUNS = dict.fromkeys(("results", "set", "search", "made"), "") | {  # e
     "scene": ".yaml",
 }  # fmt: skip
 MAX_WAIT_AT_END_S = 2.0  # for the preparation of a detector, which ends with the program
-MAX_MADE_CLIPS = 1000  # on the page; the command makes more
 OPENED = 0  # the number of the results that the session was opened with; its runs count from 1
 
 
@@ -359,10 +358,11 @@ class Workbench:
 
         values: the request of the preview, and `clips`, their number. Raises InputError.
         """
+        max_clips = 1000  # on the page; the command makes more
         asked = dict(values) if isinstance(values, dict) else {}
         clips, seed = asked.pop("clips", 1), asked.get("seed", 0)
-        if not isinstance(clips, int) or isinstance(clips, bool) or not 1 <= clips <= MAX_MADE_CLIPS:
-            raise InputError(f"make: expected 1 to {MAX_MADE_CLIPS} clips")
+        if not isinstance(clips, int) or isinstance(clips, bool) or not 1 <= clips <= max_clips:
+            raise InputError(f"make: expected 1 to {max_clips} clips")
         if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
             raise InputError(f"make: seed: expected a whole number, 0 or more, not {seed!r}")
         scene = self.previews.ask({**asked, "sharp": False}).get("yaml")

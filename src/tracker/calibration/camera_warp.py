@@ -29,7 +29,6 @@ from tracker.measurement.positions import to_ball_tracks
 from tracker.results import read_clip
 
 VALIDATION_FOLDS = 8
-SMOOTHNESS = np.logspace(-8, 8, 65)  # ratios of the prior's precision to that of the positions that are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,7 +255,8 @@ class _WarpProblem:
         sums = _NormalEquations.total(self.sums if half is None else self.sums[half::2])
         size, axes = eigh(sums.matrix, self.prior)
         size, pull = np.maximum(size, 0.0), axes.T @ sums.vector
-        ratios = size.max() * SMOOTHNESS if smoothness is None else np.array([smoothness])
+        # precision of the prior over that of the positions
+        ratios = size.max() * np.logspace(-8, 8, 65) if smoothness is None else np.array([smoothness])
         left = sums.square - (pull**2 / (size + ratios[:, None])).sum(axis=1)
         evidence = -sums.dof * np.log(left) - np.log1p(size / ratios[:, None]).sum(axis=1)
         best = int(np.argmax(evidence))

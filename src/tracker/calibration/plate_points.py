@@ -17,7 +17,6 @@ from tracker.camera.recordings import open_source
 from tracker.tables.content import FileContent
 from tracker.tables.rows import to_numbers
 
-POINT_COLUMNS = ("x_px", "y_px", "x", "y")
 MIN_POINTS = 4
 
 
@@ -32,16 +31,15 @@ class PlatePoints:
 
 def read_points(path: Path) -> PlatePoints:
     """Points of a table with x_px, y_px (pixel centres at whole numbers), x, y (m on the plate). Raises InputError."""
+    columns = ("x_px", "y_px", "x", "y")
     content = FileContent.of(path)
     table = content.cells()
-    if missing := [name for name in POINT_COLUMNS if name not in table]:
+    if missing := [name for name in columns if name not in table]:
         there = format_wrong_value(", ".join(map(str, table.columns)), quoted=False)
-        raise content.wrong(
-            f"no column {', '.join(missing)}, expected {', '.join(POINT_COLUMNS)} (px, m); found {there}"
-        )
+        raise content.wrong(f"no column {', '.join(missing)}, expected {', '.join(columns)} (px, m); found {there}")
     pixels, metres = (
         np.column_stack([to_numbers(table[name], name, content.where) for name in names])
-        for names in (POINT_COLUMNS[:2], POINT_COLUMNS[2:])
+        for names in (columns[:2], columns[2:])
     )
     if not np.isfinite(pixels).all() or not np.isfinite(metres).all():
         raise content.wrong("expected four numbers in each row")

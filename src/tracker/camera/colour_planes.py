@@ -22,7 +22,6 @@ from tracker.camera.camera_keys import CHANNELS, PLANES
 
 Colours = NDArray[Any]  # (h, w, 3): red, green, blue
 Shares = NDArray[np.float32]  # (h, w, 3): of the sum of the three
-DISTANCE = "colour"
 
 
 def is_plane(name: str) -> bool:
@@ -67,7 +66,7 @@ def read_plane(name: str, sample: Callable[[], Sequence[Colours]], white: float)
     shares = [find_shares(picture, white) for picture in sample()]
     usual: Any = np.median(shares, axis=0).astype(np.float32)
     top = 200.0  # counts
-    if name == DISTANCE:
+    if name == "colour":
         spread = 1.4826 * np.median([np.sqrt(((s - usual) ** 2).sum(axis=2)) for s in shares], axis=0)
         wide = 2 * round(max(usual.shape[:2]) / 100) + 3  # px, of a neighbourhood with one noise
         calm = cv2.blur(spread.astype(np.float32), (wide, wide))

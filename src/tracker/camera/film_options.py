@@ -16,8 +16,6 @@ from synthcam_shared.arguments import check_keywords
 from synthcam_shared.arrays import Flags
 from synthcam_shared.errors import InputError
 
-MAX_CORNER_PX = 1e6  # of a region, left or right of the origin
-
 
 @dataclass(frozen=True)
 class BallExample:
@@ -59,10 +57,12 @@ class RegionPart:
         return np.bitwise_xor.accumulate(crossed[:, :0:-1], axis=1)[:, ::-1].view(np.bool_)
 
 
-def parse_region(text: str) -> tuple[RegionPart, ...]:
+def parse_region(text: str, *, max_corner_px: float = 1e6) -> tuple[RegionPart, ...]:
     """Parse the option --region of a film: boxes and polygons, in which balls are looked for, px.
 
     Parts are separated by `;`, and begin with "not" to leave out. Raises InputError.
+
+    max_corner_px: of a corner, in x or y; a larger number is surely a mistake.
     """
     parts = []
     for written in text.split(";"):
@@ -79,7 +79,7 @@ def parse_region(text: str) -> tuple[RegionPart, ...]:
         else:
             corners = [(point[0], point[1]) for point in points if len(point) == 2]
             is_valid = len(corners) == len(points) > 2
-        if not is_valid or not np.all(np.abs(corners) <= MAX_CORNER_PX):
+        if not is_valid or not np.all(np.abs(corners) <= max_corner_px):
             raise InputError(
                 f"--region {text!r}: expected X0,Y0,X1,Y1 in px, left and upper before right and lower, "
                 "or the corners X,Y X,Y X,Y ... of a polygon"

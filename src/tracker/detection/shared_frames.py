@@ -14,7 +14,6 @@ from tracker.detection.detector import SharedDetector
 
 Examined: TypeAlias = tuple[int, Any]  # the number of a frame, and what a detector says of it
 STRETCH_FRAMES = 32  # that a process takes at a time: few enough that all end at about the same time
-WORTH_PROCESSES_S = 6.0  # processor time of the remaining frames from which on other processes are started
 
 
 @dataclass
@@ -54,6 +53,7 @@ def share_frames(clip: Recording, detector: SharedDetector, numbers: Sequence[in
 
 
 def _examine_all(clip: Recording, detector: SharedDetector, numbers: Sequence[int]) -> Iterator[Examined]:
+    worth_processes = 6.0  # s of processor time of the remaining frames
     assert clip.helpers is not None
     examiner, workers = _Examiner(detector, numbers, clip.helpers, clip.frames), clip.helpers.workers
     stretches = range(-(-len(numbers) // STRETCH_FRAMES))
@@ -63,7 +63,7 @@ def _examine_all(clip: Recording, detector: SharedDetector, numbers: Sequence[in
             yield from examiner.examine(stretch)
         stretches = stretches[1:]
         rest = (time.process_time() - began) * len(stretches)
-    workers = workers or (count_cores() if rest > WORTH_PROCESSES_S else 1)
+    workers = workers or (count_cores() if rest > worth_processes else 1)
     if workers == 1:
         for stretch in stretches:
             yield from examiner.examine(stretch)

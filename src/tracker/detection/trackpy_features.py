@@ -11,8 +11,6 @@ from synthcam_shared.errors import InputError
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
 
-UNKNOWN_ERROR_PX = 0.1  # where trackpy gives no error
-
 
 def round_to_odd_diameter(width: float) -> int:
     """The odd number of pixels, 5 or more, nearest to a width: trackpy takes no other diameters."""
@@ -43,7 +41,7 @@ class TrackpyDetector:
         if len(found) == 0:
             return Glints.none()
         x, y, mass, error = (found[name].to_numpy(np.float64) for name in ("x", "y", "mass", "ep"))
-        error = np.where(np.isfinite(error) & (error > 0), error, UNKNOWN_ERROR_PX)
+        error = np.where(np.isfinite(error) & (error > 0), error, 0.1)  # px, where trackpy gives none
         row, column = (
             np.clip(np.rint(at).astype(np.int64), 0, size - 1) for at, size in zip((y, x), frame.shape, strict=True)
         )

@@ -17,15 +17,19 @@ from scipy.spatial import cKDTree
 
 from synthcam_shared.arrays import Array
 
-TIME_BLOCKS = 20  # of time, whose scatter gives the errors
-
 
 def pair_correlation(
-    positions: list[Array], size: tuple[float, float], reach: float, bins: int = 60, least: float = 0.0
+    positions: list[Array],
+    size: tuple[float, float],
+    reach: float,
+    bins: int = 60,
+    least: float = 0.0,
+    *,
+    time_blocks: int = 20,
 ) -> pd.DataFrame:
     """Measure the pair correlation of many snapshots; the result has columns r (m), g, g_std.
 
-    The error is the scatter of blocks of consecutive snapshots.
+    The error is the scatter of `time_blocks` blocks of consecutive snapshots.
 
     positions: (n, 2) m of each snapshot.
     size: sides of the rectangle that the centres fill, m.
@@ -39,7 +43,7 @@ def pair_correlation(
     a, b = size
     within = (np.pi * edges**2 * a * b - 4 * (a + b) * edges**3 / 3 + edges**4 / 2) / (a * b) ** 2  # share of all pairs
     expected = np.diff(within) * pairs[:, None]
-    blocks = [rows for rows in np.array_split(np.arange(len(positions)), TIME_BLOCKS) if pairs[rows].sum() > 0]
+    blocks = [rows for rows in np.array_split(np.arange(len(positions)), time_blocks) if pairs[rows].sum() > 0]
     middle = (edges[1:] + edges[:-1]) / 2
     if not blocks:
         return pd.DataFrame({"r": middle, "g": np.nan, "g_std": np.nan})

@@ -17,9 +17,6 @@ import pandas as pd
 from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.positions import BallTrack
 
-USUAL_FRICTION = 2.0  # m/s^2, deceleration of a ball that slides
-ROWS_OF_SLIDE = 4  # before the end of the slide, from which its friction is found
-
 
 @dataclass(frozen=True, eq=False)
 class HalfVelocities:
@@ -218,10 +215,12 @@ def _fit_path(ball: BallTrack, rows: Ints, ends: tuple[int, int], at: Array, bre
         velocities = HalfVelocities(chord, chord.copy(), gain, gain.copy(), gain.copy())
         short = (early + late + step * (2 - sum(sure for _, sure in places))) / 4  # interpolation cuts the corners
         unsure += np.hypot(*velocities.even[0]) * min(short / (last - first), 0.5)
-    if cuts.slides and ends[0] >= 0 and not (free < slide_end).sum() >= ROWS_OF_SLIDE:
+    rows_of_slide = 4  # that show its friction
+    if cuts.slides and ends[0] >= 0 and not (free < slide_end).sum() >= rows_of_slide:
         velocities.even[-2] = velocities.odd[-2] = np.nan  # the friction between contact and first row is not known
-        rest = early + ROWS_OF_SLIDE * step - (time - first)  # of the longest slide that would not be seen
-        unsure = USUAL_FRICTION * np.maximum(rest, 0) / 2
+        rest = early + rows_of_slide * step - (time - first)  # of the longest slide that would not be seen
+        usual_friction = 2.0  # m/s^2, deceleration of a ball that slides
+        unsure = usual_friction * np.maximum(rest, 0) / 2
     return FreePath(ball.particle, ball.frame[rows], time, *ends, first, last, velocities, unsure)
 
 

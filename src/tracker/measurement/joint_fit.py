@@ -18,7 +18,6 @@ from tracker.measurement.random_effects import fit_random_effects
 
 SHARED = ("r", "mu_k", "C")
 OBSERVED = ("v1f", "v2f", "tau1", "tau2")
-GIVEN = ("v0", "b")
 ROLLING = ("drag", "decel")
 MIN_EIGENVALUE = 1e-12  # of a correlation matrix that is positive definite beyond rounding
 
@@ -63,7 +62,8 @@ def predict_quantities(v0: Array, b: Array, shared: Array) -> Array:
 
 
 def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
-    names = (*OBSERVED, *GIVEN)
+    given = ("v0", "b")
+    names = (*OBSERVED, *given)
     columns = [f"{name}_free{end}" for name in names for end in ("", "_std")]
     rows = ok.dropna(subset=columns) if set(columns) <= set(ok.columns) else ok.iloc[:0]
     covs = []
@@ -76,7 +76,7 @@ def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
         return dict.fromkeys([*SHARED, *(f"{name}_std" for name in SHARED), "chi2"]) | {"dof": 0}
     rows = rows[good]
     seen = np.column_stack([rows[f"{n}_free"] for n in OBSERVED]).astype(float)
-    v0, b = (rows[f"{n}_free"].to_numpy(float) for n in GIVEN)
+    v0, b = (rows[f"{n}_free"].to_numpy(float) for n in given)
     steepest = 0.9999  # |b/2R|: the formulas need its neighbourhood
     b = np.clip(b, -steepest, steepest)
     common = shared_effects(rows, names, "free")  # what each shared error adds to seen, v0 and b

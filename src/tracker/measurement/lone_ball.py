@@ -14,7 +14,6 @@ from tracker.measurement.collision.collision_model import SHORTEST_EXPOSURE, rol
 from tracker.measurement.collision.least_squares import BROAD_PRIORS, covariance, find_best_minimum
 from tracker.measurement.positions import BallTrack
 
-MIN_SPEED_SIGMA = 5.0  # from which on a ball surely moves
 PARAMETERS = ("x", "y", "heading", "v0", "drag", "decel")
 
 
@@ -34,8 +33,8 @@ class LoneBallFit:
 
     @property
     def moves(self) -> bool:
-        """True if the ball surely moves, and not only its positions scatter."""
-        return bool(self.parameters[3] > MIN_SPEED_SIGMA * np.sqrt(self.cov[3, 3]))
+        """True if the ball surely moves, by 5 sigma of its speed, and not only its positions scatter."""
+        return bool(self.parameters[3] > 5.0 * np.sqrt(self.cov[3, 3]))
 
 
 class _Rolling:

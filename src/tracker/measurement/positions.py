@@ -16,8 +16,6 @@ from tracker.detection.link import Tracks
 from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
 from tracker.measurement.noise.whitening import PositionWhitener
 
-UNKNOWN_ERROR_PX = 0.1  # of a position, where a table gives no errors and is too short to show them
-
 
 @dataclass(frozen=True, eq=False)
 class BallTrack:
@@ -96,11 +94,11 @@ def measure_separation(one: BallTrack, other: BallTrack) -> tuple[Ints, Array, N
     return frames, np.hypot(*(one.position[mine] - other.position[its]).T), mine, its
 
 
-def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
+def to_ball_tracks(tracks: Tracks, camera: Camera, *, unknown_error_px: float = 0.1) -> list[BallTrack]:
     """Convert tracks from pixels to metres on the plate, one BallTrack for each particle in order of its number.
 
     Rows without a finite position are left out. If not every row has a covariance, all get that of the tracks' own
-    scatter about smooth motion.
+    scatter about smooth motion. Tracks that are too short to show it get `unknown_error_px` along each axis.
     """
     default_glint_width_px = 1.0  # where the camera file has none
     xy = np.column_stack([tracks.x, tracks.y]).astype(np.float64)
@@ -111,7 +109,7 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
     determinant = pixel[:, 0, 0] * pixel[:, 1, 1] - pixel[:, 0, 1] * pixel[:, 1, 0]
     weighed = len(pixel) > 0 and bool(np.all((determinant > 0) & (pixel[:, 0, 0] > 0)))  # NaN is not
     if not weighed:
-        pixel, fixed = np.broadcast_to(np.eye(2) * UNKNOWN_ERROR_PX**2, pixel.shape), np.zeros_like(pixel)
+        pixel, fixed = np.broadcast_to(np.eye(2) * unknown_error_px**2, pixel.shape), np.zeros_like(pixel)
     cov, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (pixel, np.nan_to_num(fixed)))
     time = np.asarray(tracks.time, dtype=np.float64)[keep]
     taken = np.where(np.isfinite(time), time, frame / camera.fps)

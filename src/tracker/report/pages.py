@@ -43,7 +43,6 @@ from tracker.report.refusals import REFUSALS
 from tracker.results import rows_as_dicts
 
 PAGE = "index.html"
-MAX_CONTACTS_OF_A_PAGE = 300  # the first; contacts.csv has all
 CAPTIONS = {
     "tracks": "Tracks of both balls. Right: the balls at the moment of contact. Error bars are smaller than the lines.",
     "separation": "Distance between the centres of the balls against time. Below: measurement minus tied fit.",
@@ -125,7 +124,8 @@ class RecordingPage:
             "energy_lost": ("energy lost / cm²/s²", 1e4),
         }
         rows = []
-        for row in self.contacts.head(MAX_CONTACTS_OF_A_PAGE).to_dict("records"):
+        most = 300  # on a page; contacts.csv has all
+        for row in self.contacts.head(most).to_dict("records"):
             other = "wall" if row["kind"] == "wall" else str(row["particle2"])
             at = format_with_error(1e3 * row["t_s"], 1e3 * row["t_s_std"])
             values = [format_with_error(f * row[name], f * row[f"{name}_std"]) for name, (_, f) in columns.items()]

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 MISFITS = "misfit.png"  # beside the tracks of a clip
 REFUSALS = "refused.png"  # beside the tracks of a clip, and beside its page
-MAX_NAMED_THINGS = 12  # things that are named, the largest first
 
 
 @dataclass(frozen=True)
@@ -53,8 +52,8 @@ def is_refused_clip(tracks: Tracks, rows: Sequence[Mapping[str, Any]]) -> bool:
     return len(tracks) == 0 or not any(state in (*MEASURED, CROWD, NO_SCALE, ONE_BALL) for state in states)
 
 
-def draw_refusals(clip: Recording, tracks: Tracks, *, min_area_px: int = 28) -> NotedPicture:
-    """Draw the frame, of nine that are spread over the film, in which most things are refused."""
+def draw_refusals(clip: Recording, tracks: Tracks, *, min_area_px: int = 28, max_things: int = 12) -> NotedPicture:
+    """Draw the frame, of nine that are spread over the film, in which most things are refused; name the largest."""
     picks = sorted({*spread_frames(clip.frames)})
     sample = [np.asarray(clip.frames[k]) for k in spread_frames(clip.frames)]
     least = max(8.0 * estimate_pixel_noise(sample), 8.0)
@@ -62,7 +61,7 @@ def draw_refusals(clip: Recording, tracks: Tracks, *, min_area_px: int = 28) -> 
     shots = {}
     for k in picks:
         frame: Any = np.asarray(clip.frames[k])
-        regions = find_regions(cv2.absdiff(frame, level) > least, min_area_px - 1)[:MAX_NAMED_THINGS]
+        regions = find_regions(cv2.absdiff(frame, level) > least, min_area_px - 1)[:max_things]
         shots[k] = [(region, _explain(region, clip, tracks, k, frame, level)) for region in regions]
     shown = max(picks, key=lambda k: (sum(bool(why) for _, why in shots[k]), len(shots[k])))
     number = int(clip.frames.numbers[shown])

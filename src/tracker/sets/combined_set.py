@@ -38,8 +38,6 @@ from tracker.sets.combined_quantity import (
 from tracker.sets.set_page import write_set
 from tracker.tables.rows import make_tracks_table, to_csv
 
-SHARED_QUANTITIES = ("r", "s", "mu_k", "C", "drag", "decel")  # that collisions have in common
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CombinedSet:
@@ -306,8 +304,8 @@ def _choose_fits(table: pd.DataFrame) -> pd.Series:
 def _choose_quantities(table: pd.DataFrame, asked: Sequence[str] | None) -> list[str]:
     """The quantities to combine. Raises InputError for one that no column has."""
     if asked is None:
-        fits = SUFFIXES.values()
-        return [name for name in SHARED_QUANTITIES if any(f"{name}{suffix}_std" in table for suffix in fits)]
+        fits, shared = SUFFIXES.values(), ("r", "s", "mu_k", "C", "drag", "decel")  # by all collisions
+        return [name for name in shared if any(f"{name}{suffix}_std" in table for suffix in fits)]
     measured = {str(column).removesuffix("_std") for column in table.columns if str(column).endswith("_std")}
     names = sorted({re.sub("_(free|local|paper)$", "", column) for column in measured if column in table})
     for name in asked:

@@ -20,14 +20,13 @@ _ALIASES = {
     "t": "t time seconds timestamp",
 }
 _UNITS = {word: unit for unit, (_, names) in LENGTH_UNITS.items() for word in names.split()}
-_TIMES = ("s", "sec", "second", "seconds")
 
 
 def split_unit(name: str) -> tuple[str, str]:
     """Split the name of a column from its unit: "X (px)" gives x, px; "x, px" and "x_px" too."""
     text = re.sub(r"\s+", " ", str(name).strip().lstrip("#").strip().lower())
     found = re.fullmatch(r"(.+?)\s*[\[(]\s*([^\])]*?)\s*[\])]", text) or re.fullmatch(r"(.+?)\s*[,/:_ ]\s*(\S+)", text)
-    if found and (found[2] in _UNITS or found[2] in _TIMES):
+    if found and (found[2] in _UNITS or found[2] in ("s", "sec", "second", "seconds")):
         return re.sub(r"[ .-]", "_", found[1]), found[2]
     return re.sub(r"[ .-]", "_", text), ""
 

@@ -13,7 +13,6 @@ from tracker.detection.contact_distance import contact_distances
 from tracker.detection.link import Tracks
 from tracker.tables.table import LENGTH_UNITS
 
-UNITS = ("m", "cm", "mm", "um")  # that positions are usually in, where they are not px
 CommonFrames: TypeAlias = tuple[Any, Any, Any, Any]
 MAX_CLIPS = 20  # whose contacts are looked at
 
@@ -64,11 +63,12 @@ def _measure_unit(pairs: Sequence[tuple[Tracks, CommonFrames]], camera: Camera) 
     far = float(np.median([np.median(np.abs(xy).max(axis=1)) for xy in both])) / max(camera.size)
     nearest = _measure_nearest(pairs, camera)
     distance = max(nearest.distance, 1e-300)
-    off = {u: math.log(distance * LENGTH_UNITS[u][0] / camera.ball_diameter) for u in UNITS}
+    units = ("m", "cm", "mm", "um")  # that positions are usually in, where they are not px
+    off = {u: math.log(distance * LENGTH_UNITS[u][0] / camera.ball_diameter) for u in units}
     off_px = math.log(distance / camera.diameter_px)
     # tracks that are larger than the picture in a unit are not in it
-    inside = [u for u in UNITS if usual * LENGTH_UNITS[u][0] / camera.scale < 1.3 * max(camera.size)]
-    unit = min(inside or UNITS, key=lambda name: abs(off[name]))
+    inside = [u for u in units if usual * LENGTH_UNITS[u][0] / camera.scale < 1.3 * max(camera.size)]
+    unit = min(inside or units, key=lambda name: abs(off[name]))
     fits = unit in inside and nearest.tolerance[0] < off[unit] < nearest.tolerance[1]
     is_likely = unit in inside and (fits if nearest.is_contact else abs(off[unit]) < nearest.max_deviation)
     return UnitEvidence(

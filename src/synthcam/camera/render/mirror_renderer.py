@@ -41,9 +41,7 @@ from synthcam.camera.surface import STEEL_ON_BLACK, STEEL_REFLECTANCE, Surface
 from synthcam_shared.arrays import Array, Float32, Index
 
 FINENESS = 3  # samples of a ball per pixel, along rows and along columns
-EXPOSURES_PER_BATCH, BALLS_PER_BATCH = 128, 1024  # whichever is reached first: for many balls, to save memory
-PAIR_REACH_RADII = 60.0  # further away, single precision no longer suffices, and an image is 1e-5 of the ball
-NEIGHBOURS_OF_PROGRAMS = 0, 1, 2, 3, 4, 6, 8  # numbers of neighbours for which there are programs
+EXPOSURES_PER_BATCH = 128
 
 
 class DrawnParts(IntEnum):
@@ -123,7 +121,8 @@ class MirrorRenderer(Renderer):
         A ball's image in a neighbour at distance d covers .1 (r R / d)^2, for radii r and R. Through optics and pixel
         of together s^2, this spot has a peak of the room's radiance times its area over 2 pi s^2.
         """
-        limit = PAIR_REACH_RADII * self.radii
+        # further away, single precision no longer suffices, and an image is 1e-5 of the ball
+        limit = 60.0 * self.radii
         if len(self.radii) <= 2:
             return limit, limit
         wide = self.camera.psf_sigma_px**2 + self.camera.defocus_px**2 / 4 + 1 / 12
@@ -225,7 +224,8 @@ class MirrorRenderer(Renderer):
                 (picture,) = self._roll(centres, span, cuts, lambda of: [(p,) for p in self._expose(centres, of, cuts)])
                 yield picture
         else:
-            many = min(EXPOSURES_PER_BATCH, max(1, BALLS_PER_BATCH // len(self.radii)))
+            max_balls = 1024  # of a batch: many balls need much memory
+            many = min(EXPOSURES_PER_BATCH, max(1, max_balls // len(self.radii)))
             for first in range(0, len(spans), many):
                 yield from self._expose(centres, spans[first : first + many], cuts)
 
@@ -373,12 +373,13 @@ class MirrorRenderer(Renderer):
         counts = jobs[:, 3, 0].astype(int)
         listed = np.arange(others.shape[1]) < counts[:, None]
         meets = (listed & (np.linalg.norm(aside, axis=-1) < 1.1 * (1 + others[..., 3]) + 0.1)).any(axis=1)
-        kinds = np.append(NEIGHBOURS_OF_PROGRAMS, others.shape[1])
-        kind = np.searchsorted(NEIGHBOURS_OF_PROGRAMS, counts)
+        programs = 0, 1, 2, 3, 4, 6, 8  # numbers of neighbours for which there are programs
+        kinds = np.append(programs, others.shape[1])
+        kind = np.searchsorted(programs, counts)
         batches = []
         for k, meet in sorted(set(zip(kind.tolist(), meets.tolist(), strict=True))):
             own = np.flatnonzero((kind == k) & (meets == meet))
-            many = {"NEAR": int(kinds[k])} if k < len(NEIGHBOURS_OF_PROGRAMS) else {}
+            many = {"NEAR": int(kinds[k])} if k < len(programs) else {}
             apart = {} if meet else {"APART": 1}
             width = others.shape[1] if scene != DrawnParts.BALLS else max(1, int(kinds[k]))
             batches.append(BallBatch(jobs[own], others[own, :width], defines | many | apart))

@@ -39,13 +39,7 @@ from synthcam.camera.room.view_factors import (
 from synthcam.camera.surface import Surface
 from synthcam_shared.arrays import Array, Index
 
-# Up to this distance from its point of contact a ball changes the light on the plate. Over the second distance, this
-# change fades to nothing.
-REACH_RADII, FADE_RADII = 7.0, 3.0
-DISC_REACH_HEIGHTS = 6.0  # further from its rim, a disc hides less than 0.4 % of the sky
-EXCHANGE_REACH_RADII = 5.0  # of many balls: further away, a white one returns less than 4 % of the light
-
-NEARLY_TOUCHING = 1.1  # distance over the sum of the radii: nearer balls have sharp shadows where they face each other
+REACH_RADII = 7.0  # distance from its point of contact up to which a ball changes the light on the plate
 
 
 @dataclass(frozen=True)
@@ -113,7 +107,7 @@ class Illumination:
         self.bounces = [tables.get((c.tobytes(), r)) for c, r in zip(self.colours, radii.tolist(), strict=True)]
         slant = max(np.hypot(*c.position[:2]) / c.position[2] for c in self.cells)
         far = max(REACH_RADII, 1.5 * slant + np.hypot(slant, 1) + 1)
-        falls = max(1.5 * slant, DISC_REACH_HEIGHTS)
+        falls = max(1.5 * slant, 6.0)  # heights; further from its rim, a disc hides less than 0.4 % of the sky
         self.reaches = np.array([1 + d.height / d.radius * falls if d else far for d in self.discs])  # radii
         self.reach = float(self.reaches.max())
 
@@ -165,7 +159,7 @@ class Illumination:
 
     def _near(self, ball: int, points: Array, centre: Array, reach: float = REACH_RADII) -> tuple[Index, Array]:
         """Points of the plate near a ball, and the weight of its reflected light there, which falls to 0 smoothly."""
-        full, fading = REACH_RADII, FADE_RADII
+        full, fading = REACH_RADII, 3.0  # radii; over the second distance the change fades to nothing
         if self.discs[ball]:
             full = reach = float(self.reaches[ball])
             fading = (full - 1) / 2
@@ -275,7 +269,8 @@ class Illumination:
         if len(centres) == 1 or self.quick:
             return None
         balls = [k for k, disc in enumerate(self.discs) if disc is None]  # of discs one sees little but the top
-        near = ((a, self._neighbours(a, centres, EXCHANGE_REACH_RADII)) for a in balls)
+        reach = 5.0  # radii; further away, a white one of many balls returns less than 4 % of the light
+        near = ((a, self._neighbours(a, centres, reach)) for a in balls)
         pairs = [(a, b) for a, others in near for b in others if self.discs[b] is None]
         if not pairs:
             return None
@@ -312,7 +307,8 @@ class Illumination:
         along = dot(offset, flat)
         root = np.sqrt(np.maximum(along**2 - dot(offset, offset) + self.radii[b] ** 2, 0))
         face = _units(offset + (-along - root)[:, None] * flat)
-        if own and np.linalg.norm(centres[b] - centres[a]) > NEARLY_TOUCHING * (self.radii[a] + self.radii[b]):
+        # nearer balls have sharp shadows where they face each other
+        if own and np.linalg.norm(centres[b] - centres[a]) > 1.1 * (self.radii[a] + self.radii[b]):
             direct = own[b].at(*find_cell(face))
         else:
             direct = self._direct(b, centres[b] + self.radii[b] * face, face, centres)

@@ -19,10 +19,7 @@ from synthcam.dynamics.kinematics import State
 from synthcam.dynamics.trajectory import Leg, RestLeg, RollLeg, SlideLeg
 
 WITHOUT_CELLS = 13  # balls: so few look at all others
-MAX_NEIGHBOURS, MAX_CELLS = 8, 16  # that a ball may come near while it looks ahead
-FEW_NEIGHBOURS = 5  # then it looks twice as far the next time
 MAX_LOOK_S = 10.0
-SORTED_EVENTS = 64  # about so many of many bodies
 Kind = Literal["contact", "wall", "end", "launch", "renewal", "look"]
 
 
@@ -212,17 +209,19 @@ class EventCalendar:
             covered = cells.cover(box)
             cells.put(k, box, covered)
             return leg.t1, cells.find_near(box, covered)
+        max_neighbours, max_cells = 8, 16  # that it may come near
         while True:
             horizon = min(t + look, leg.t1)
             box, widens = self._bound_path(k, leg, t, horizon, first)
             small = widens < self.radius[k]  # to shrink it more would change little
             x0, y0, x1, y1 = covered = cells.cover(box)
-            if small or (x1 - x0 + 1) * (y1 - y0 + 1) <= MAX_CELLS:
+            if small or (x1 - x0 + 1) * (y1 - y0 + 1) <= max_cells:
                 near = cells.find_near(box, covered)
-                if small or len(near) <= MAX_NEIGHBOURS:
+                if small or len(near) <= max_neighbours:
                     break
             look = (horizon - t) / 2
-        self.look[k] = min(2 * look, MAX_LOOK_S) if len(near) <= FEW_NEIGHBOURS else look
+        few = 5  # neighbours, with which it looks twice as far the next time
+        self.look[k] = min(2 * look, MAX_LOOK_S) if len(near) <= few else look
         cells.put(k, box, covered)
         return horizon, near
 
@@ -246,7 +245,8 @@ class EventCalendar:
         nearest = np.asarray(cKDTree(states[:, :2]).query(states[:, :2], 2)[0])
         side = 2 * max(float(np.median(nearest[:, 1])), 2 * float(np.median(self.radius)))
         self.look = np.minimum(side / np.maximum(np.hypot(states[:, 3], states[:, 4]), 1e-9), MAX_LOOK_S).tolist()
-        self.queue = EventQueue(SORTED_EVENTS * float(np.median(self.look)) / len(legs))
+        sorted_events = 64  # about so many at a time
+        self.queue = EventQueue(sorted_events * float(np.median(self.look)) / len(legs))
         cells = NeighbourCells(side, len(legs))
         for k, (x, y) in enumerate(states[:, :2].tolist()):
             wide = self.radius[k] * (1 + self.margin)

@@ -30,10 +30,7 @@ from synthcam.dynamics.trajectory import Leg, NumericLeg
 from synthcam.model import Bodies, Model
 from synthcam_shared.arrays import Array
 
-LEAST_RESTITUTION = 1e-6
-END_GAP = 1e-10  # over the reach: a contact ends at this gap, since many begin with no overlap and all but no speed
 STICKING_M_S = 1e-6  # friction of the plate fades at slips below it
-MAX_DURATIONS = 20.0  # for which a contact is followed at a time, in those of the contact alone
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class ContactSpring:
 
     def stiffness(self, mass: float, radius: float, r: float) -> tuple[float, float]:
         """Return the factors of the spring and of the damper: masses and radii are reduced ones."""
-        loss = -math.log(max(r, LEAST_RESTITUTION))
+        loss = -math.log(max(r, 1e-6))
         if self.law == "linear":
             damping = loss / self.duration
             return mass * ((math.pi / self.duration) ** 2 + damping**2), 2 * mass * damping
@@ -198,8 +195,15 @@ def follow_contacts(
     bodies: Bodies,
     supports: Sequence[Support | None],
     t: float,
+    *,
+    max_durations: float = 20.0,
+    end_gap: float = 1e-10,
 ) -> TouchingGroup:
-    """Integrate bodies in contacts that last from their states at the time t, s, until a contact ends."""
+    """Integrate bodies in contacts that last from their states at the time t, s, until a contact ends.
+
+    max_durations: for how long at most, in durations of the longest contact alone.
+    end_gap: a contact ends at this gap, over its reach, because many begin without overlap and almost without speed.
+    """
     members = tuple(sorted(states))
     rows, own, count = {k: row for row, k in enumerate(members)}, bodies[list(members)], len(members)
     plate = np.array([supports[k] is None for k in members])
@@ -238,7 +242,7 @@ def follow_contacts(
     def ends(number: int) -> Any:
         def overlap(_: float, y: Array) -> float:
             overlapping = press(y[: 9 * count].reshape(count, 9), contacts[number])[1]
-            return overlapping + END_GAP * contacts[number].reach
+            return overlapping + end_gap * contacts[number].reach
 
         overlap.terminal, overlap.direction = True, -1  # type: ignore[attr-defined]
         return overlap
@@ -248,7 +252,7 @@ def follow_contacts(
     first = np.concatenate([np.array([states[k] for k in members]).ravel(), [c.given for c in contacts]])
     lasts, events = [c.lasts for c in contacts], [ends(number) for number in range(len(contacts))]
     how: Any = {"method": "LSODA", "rtol": 1e-9, "atol": 1e-14, "max_step": min(lasts) / 10, "dense_output": True}
-    done = solve_ivp(law, (0.0, MAX_DURATIONS * max(lasts)), first, events=events, **how)
+    done = solve_ivp(law, (0.0, max_durations * max(lasts)), first, events=events, **how)
     if not done.success or done.t_events is None:
         raise ValueError(f"a contact that lasts cannot be followed beyond {t + done.t[-1]:.6g} s: {done.message}")
     ended = tuple(number for number, times in enumerate(done.t_events) if len(times))

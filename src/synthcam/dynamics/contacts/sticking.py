@@ -22,7 +22,6 @@ from synthcam.dynamics.supports import Air, DryPlate, Support
 from synthcam.dynamics.trajectory import Event, Leg
 from synthcam.model import Bodies, Model
 
-LEAST_SOFTNESS_RATIO = 1.01  # of K_t to K_n, in the model's laws: a body alone has 1 + 1/k
 Bonds = dict[tuple[int, int], float]
 
 
@@ -89,7 +88,8 @@ class StickingBodies:
         ratio = soft_t / soft_n
         alone = len(one.places) == len(two.places) == 1
         (_, m1, k1), (_, m2, k2) = self.bodies[i], self.bodies[j]
-        k = combine_inertia_factors(k1, m1, k2, m2) if alone else 1 / (max(ratio, LEAST_SOFTNESS_RATIO) - 1)
+        ratio = max(ratio, 1.01)  # of K_t to K_n, in the model's laws: a body alone has 1 + 1/k
+        k = combine_inertia_factors(k1, m1, k2, m2) if alone else 1 / (ratio - 1)
         slip = (-n[1] * u_t, n[0] * u_t, 0.0)
         r, c = find_contact_coefficients(model, v_n, slip, relative, n, k)
         if change:

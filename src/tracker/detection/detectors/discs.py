@@ -33,7 +33,6 @@ from tracker.detection.outlines.disc_fit import DiscAppearance, DiscFit, DiscSce
 from tracker.detection.outlines.hidden_disc import fit_outline_circle
 
 ContrastArea: TypeAlias = tuple[PixelRegion, NDArray[np.float32]]  # a region, and its difference from the background
-MAX_ALWAYS_THERE = 4  # discs of a frame in positions that were never seen empty; more are parts of a shaking background
 MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest
 
 
@@ -153,7 +152,8 @@ class Discs:
         # a disc in a position that was never seen empty may always be there
         middles, reach = np.round(found.xy).astype(int), int(self.radius)
         moves = np.array([seen.ground.was_seen_around(x, y, reach) for x, y in middles], dtype=bool)
-        if (~moves).sum() > MAX_ALWAYS_THERE:
+        most = 4  # discs in positions that were never seen empty; more are parts of a shaking background
+        if (~moves).sum() > most:
             found = found.take(moves)
             tally.refused += int((~moves).sum())
         return replace(found, frame=np.full(len(found), number, np.int64)), tally

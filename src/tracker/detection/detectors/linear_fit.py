@@ -16,11 +16,6 @@ from tracker.detection.glints import Glints
 from tracker.detection.likelihood.cramer_rao import compute_glint_shape
 from tracker.detection.spot_centroids import SpotCentroids
 
-# Standard errors by light that a plane does not describe; it lasts from frame to frame. They are from eight rendered
-# crowds with balls of 9 to 40 px and spots of width 0.7 to 1.6 px.
-CURVED_LIGHT_SHARE = 0.15  # of the shift that the fit removes
-UNEVEN_LIGHT_SHARE = 0.003  # of the width of a spot
-
 
 class LinearFit:
     """Least squares of the spot, its two derivatives and a plane, with the noise of each pixel."""
@@ -46,7 +41,10 @@ class LinearFit:
         shift, cov = self._fit(counts, off, self._find_blurs(counts - found.background[:, None, None], off))
         good = np.hypot(*shift.T) < most_px
         shift = np.where(np.isfinite(shift), np.clip(shift, -most_px, most_px), most_px)
-        lasting = np.hypot(shift * np.where(good, CURVED_LIGHT_SHARE, 1.0)[:, None], UNEVEN_LIGHT_SHARE * self.sigma)
+        # Standard errors by light that a plane does not describe; it lasts from frame to frame. They are from eight
+        # rendered crowds with balls of 9 to 40 px and spots of width 0.7 to 1.6 px.
+        curved, uneven = 0.15, 0.003  # shares of the shift that the fit removes, and of the width of a spot
+        lasting = np.hypot(shift * np.where(good, curved, 1.0)[:, None], uneven * self.sigma)
         fixed = lasting[:, :, None] ** 2 * np.eye(2)
         own = np.where(good[:, None, None], cov, found.cov)
         moved = np.where(good[:, None], shift, 0.0)

@@ -20,8 +20,6 @@ from tracker.measurement.random_effects import RandomEffects, fit_random_effects
 
 DERIVED = ("v_n", "v_t", "mu_bb", "impulse", "energy", "energy_lost")  # of v0, b, r and s
 SIGNED = np.array([name in ("v_t", "mu_bb") for name in DERIVED])  # of which the table has the size
-SHARED = ("r", "mu_bb", "mu_k")  # what all contacts of a film have in common
-UNKNOWN_S = (5 / 7, 0.3)  # and its error, where the tracks do not show it
 TABLE_COLUMNS = (
     "contact t_s t_s_std kind particle1 particle2 x y nx ny kick kick_std confidence collision".split()
     + [f"{name}{end}" for name in ("v_n", "v_t", "r", "mu_bb", "mu_k", *DERIVED[3:]) for end in ("", "_std")]
@@ -84,7 +82,7 @@ def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:
     has_s = bool(np.isfinite([value[3], std[3]]).all())
     if not has_s:  # a contact that is almost head-on
         cov[3] = cov[:, 3] = 0.0
-        value[3], cov[3, 3] = UNKNOWN_S[0], UNKNOWN_S[1] ** 2
+        value[3], cov[3, 3] = 5 / 7, 0.3**2
     derived = dict(zip(DERIVED, zip(*derive_with_errors(value[:4], cov), strict=True), strict=True))
     if not has_s:
         del derived["mu_bb"]
@@ -124,7 +122,7 @@ def summarise_contacts(table: pd.DataFrame, rows: Sequence[Mapping[str, Any]]) -
     """
     least, least_share = 3, 0.1  # contacts that a mean needs; of the error of a contact that is its own
     out, by_number = {}, {row["collision"]: row for row in rows}
-    for name in SHARED:
+    for name in ("r", "mu_bb", "mu_k"):  # what all contacts of a film have in common
         value, std = (table[f"{name}{end}"].to_numpy(float) for end in ("", "_std"))
         known = np.isfinite(value) & (std > 0) & ~table["misfit"].to_numpy(bool)
         if known.sum() < least:

@@ -24,7 +24,6 @@ from tracker.settings import FitSettings
 
 MU_K = LOCAL_NAMES.index("mu_k")
 SHORT_SLIDE = "other contacts of the film show the friction better"
-BOTH_SLIDE = "both balls still slide from an earlier contact"
 _Estimates: TypeAlias = dict[int, tuple[Contact | None, LocalEstimate | str]]
 
 
@@ -132,7 +131,7 @@ def _estimate_in_steps(
         pair = prepared.pair
         sliding = [_still_slides(track.particle, contact, found, settings) for _, track in pair.balls]
         if all(sliding):
-            return prepared, BOTH_SLIDE
+            return prepared, "both balls still slide from an earlier contact"
         if sliding[0]:  # only the striker may slide before the hit; roles do not change what is measured
             pair = replace(pair, struck=pair.striker, striker=pair.struck, target_moves=True)
         prepared = replace(prepared, pair=pair)

@@ -14,8 +14,6 @@ import numpy as np
 
 from synthcam_shared.arrays import Array, Flags, Ints
 
-SLIDE_ERROR = 0.2  # relative, of either component of the way that an earlier slide costs
-
 
 @dataclass(frozen=True)
 class ContactFinderSettings:
@@ -156,8 +154,9 @@ def _fit_paths(
     weighted = np.swapaxes(basis * weight[..., None], -1, -2)
     square, right = weighted @ basis, weighted @ position
     square[..., 2, 2] += 4 / curvature**2
-    square[..., 3, 3] += 1 / SLIDE_ERROR**2
-    right[..., 3, :] -= slides.direction / SLIDE_ERROR**2
+    slide_error = 0.2  # relative, of either component of the way that an earlier slide costs
+    square[..., 3, 3] += 1 / slide_error**2
+    right[..., 3, :] -= slides.direction / slide_error**2
     few = np.count_nonzero(used, axis=-1) < 2
     square[..., 0, 0] += few  # a path that has no fit, and is not used
     square[..., 1, 1] += few
@@ -165,7 +164,7 @@ def _fit_paths(
     value = cov @ right
     left, bend, away = position - basis @ value, value[..., 2, :], value[..., 3, :] + slides.direction
     chi2 = ((left**2).sum(axis=-1) * weight).sum(axis=-1)
-    chi2 += (bend**2).sum(axis=-1) * 4 / curvature**2 + (away**2).sum(axis=-1) / SLIDE_ERROR**2
+    chi2 += (bend**2).sum(axis=-1) * 4 / curvature**2 + (away**2).sum(axis=-1) / slide_error**2
     return Parabolas(value, cov, chi2, slides)
 
 

@@ -32,7 +32,6 @@ from tracker.measurement.stretch_cuts import StretchCutter, measure_path_noise
 
 NO_BALL = -1  # in place of a second ball: a wall, or something unseen
 CUTTER = StretchCutter(kink_positions=3, max_acceleration=2.4, kink_sigma=4.0)  # candidates only
-MAX_SPIN_TRANSFER = 5 / 14  # of balls whose surfaces stick to one another
 
 
 @dataclass(frozen=True)
@@ -187,7 +186,8 @@ def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], fi
     start = ContactFinderSettings()
     mu, c = start.friction, start.spin_transfer
     friction = minimise(lambda x: misfit(x, c) + (np.log(x / mu) / np.log(2)) ** 2 / 2, mu / 8, mu * 4, 0.01)
-    transfer = minimise(lambda x: misfit(friction, x) + ((x - c) / c) ** 2 / 2, 0.0, MAX_SPIN_TRANSFER, 0.04)
+    most = 5 / 14  # of balls whose surfaces stick to one another
+    transfer = minimise(lambda x: misfit(friction, x) + ((x - c) / c) ** 2 / 2, 0.0, most, 0.04)
     found_settings = replace(settings, friction=friction, spin_transfer=transfer)
     worse = misfit(friction, transfer) - misfit(friction, transfer, start.curvature)
     if worse > settings.most_worse * len(best):  # other forces bend the paths

@@ -20,7 +20,6 @@ from tracker.measurement.local.local_problem import LocalProblem, LocalSolution
 from tracker.measurement.local.stretches import Stretch, evaluate_path
 
 Found = TypeVar("Found")
-MOST_AT_ONCE = 100  # problems in a stack; more are no quicker
 
 
 @dataclass(frozen=True)
@@ -90,12 +89,12 @@ def solve_descents(descents: Sequence[Descent]) -> list[list[LocalSolution]]:
     return [out[k] for k in range(len(descents))]
 
 
-def _split(numbers: Sequence[int], descents: Sequence[Descent]) -> Iterator[list[int]]:
-    """Split the numbers of descents into parts of at most MOST_AT_ONCE problems, or of one descent."""
+def _split(numbers: Sequence[int], descents: Sequence[Descent], most: int = 100) -> Iterator[list[int]]:
+    """Split the numbers of descents into parts of at most so many problems, or of one descent; more are no quicker."""
     part, count = list[int](), 0
     for number in numbers:
         more = len(descents[number].problems)
-        if part and count + more > MOST_AT_ONCE:
+        if part and count + more > most:
             yield part
             part, count = [], 0
         part.append(number)

@@ -24,8 +24,6 @@ from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES, VELOC
 from tracker.measurement.local.recommendation import COMPARED, is_known, recommend
 from tracker.settings import FitSettings
 
-MIN_HITS = 8  # of a set, from which on its errors are fitted
-LEAST_PRIOR = 1e-4  # error of a velocity over that of the hit, where a setting says that there is none
 PRIOR_WIDTH = 1.0  # of the logarithm of the errors of a set, about those of its recordings alone
 USUAL_EXCESS = 2.0  # of what a set adds to the errors of residuals, over them; real sets show 0.8 to 2.8
 # Largest standard errors with which quantities are reported; others have max_relative_error of their value.
@@ -217,7 +215,7 @@ def _role(row: Mapping[str, Any]) -> float:
     return 1.0 if row.get("particle1", 0) < row.get("particle2", 1) else -1.0
 
 
-def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
+def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> LocalErrors | None:
     """Fit the errors beyond the residuals to the balance of momentum of all hits of a set; None of too few hits.
 
     The biases and the ratio of masses are the likeliest. The errors are means over all that fit, because the likeliest
@@ -228,7 +226,7 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]]) -> LocalErrors | None:
     standard errors. Otherwise wrong masses would look like errors of velocities.
     """
     usable = [row for row in rows if is_known(row, "r_local")]
-    if len(usable) < MIN_HITS:
+    if len(usable) < min_hits:
         return None
     found = [json.loads(row["local"]) for row in usable]
     balances, by_mass = _Balances.of(found)
@@ -282,7 +280,8 @@ class _Balances(NamedTuple):
         response = np.nan_to_num(np.array([[raw["response"][k] for k in at] for raw in found], dtype=np.float64))
         sizes = (response[:, axis, axis:8:2] for axis in (0, 1))
         spread = np.stack([np.sqrt((part**2).sum(-1)) for part in sizes], -1) * v0[:, None]
-        usual = float(np.log(max(np.median([raw["prior"] for raw in found]), LEAST_PRIOR)))
+        least = 1e-4  # error of a velocity over that of the hit, where a setting says that there is none
+        usual = float(np.log(max(np.median([raw["prior"] for raw in found]), least)))
         return _Balances(off, fixed, widened, spread, v0, usual), response[:, 0, 8]
 
     def find_variance(self, logs: Array, excess: Array | float) -> Array:

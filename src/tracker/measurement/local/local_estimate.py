@@ -35,8 +35,6 @@ SIDES = ((1, False), (2, False), (1, True), (2, True))  # ball, whether after th
 VELOCITIES = ("v1ix", "v1iy", "v2ix", "v2iy", "v1ox", "v1oy", "v2ox", "v2oy")  # m/s, just before and after
 BALANCE = ("balance_n", "balance_t")  # m/s, momentum after less before over the mean mass, along n and t
 LOCAL_NAMES = (*QUANTITY_NAMES, *VELOCITIES, "impact_energy", *BALANCE, "mass_ratio")
-_AFTER_SLIDES = ("energy_fraction", "momentum_fraction", "final_angle")
-_FRICTION = ("mu_k", "C", "w1n", "w1t", "w2n", "w2t", "tau1", "tau2")
 
 
 @dataclass(frozen=True)
@@ -294,13 +292,14 @@ def _camera_shifts(solution: LocalSolution, camera: Camera) -> Iterator[Array]:
 def _list_unseen(solution: LocalSolution) -> list[str]:
     """Quantities that the stretches do not show."""
     problem, out = solution.problem, ["drag", "decel"]
+    after_slides = ("energy_fraction", "momentum_fraction", "final_angle")
     if problem.glide:
-        return [*out, *_FRICTION]
+        return [*out, "mu_k", "C", "w1n", "w1t", "w2n", "w2t", "tau1", "tau2"]
     for k, (stretch, motion) in enumerate(zip(problem.stretches, problem.motions, strict=True)):
         if stretch.after and motion.ends:
             ball = stretch.ball
             if not shows_end(solution, k):
-                out += [f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "C", *_AFTER_SLIDES]
+                out += [f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "C", *after_slides]
         elif stretch.ball == 2 and motion.pushed:
             out += ["C", "w1n", "w1t", "w2n", "w2t"]
     return out

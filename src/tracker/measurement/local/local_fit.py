@@ -23,8 +23,6 @@ from tracker.measurement.local.local_problem import LocalPriors, LocalProblem, L
 from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch
 
 MAY_ROLL = ROLL, SLIDE_AND_ROLL, SLIDE  # motions of a striking ball before the contact
-MAX_RESIDUAL = 2.0  # rms residual of a window, in errors
-MAX_SOLUTIONS = 16  # that are averaged
 LEAST_WEIGHT = 0.01  # of those, over the weight of the best
 MAX_COST = 16.0  # beyond that of the best duration of a slide
 ROUGH_GAIN = 0.01  # of the cost, with which a descent ends whose solution is solved again
@@ -91,15 +89,17 @@ def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Array)
     return np.asarray((left**2).sum(axis=(1, 2)) + known), np.asarray(fits), left / weight[:, None]
 
 
-def choose_window(stretch: Stretch, contact: float, motions: Sequence[MotionKind]) -> Stretch:
-    """Shorten a stretch to the longest window that the local fit describes within MAX_RESIDUAL standard errors.
+def choose_window(
+    stretch: Stretch, contact: float, motions: Sequence[MotionKind], max_residual: float = 2.0
+) -> Stretch:
+    """Shorten a stretch to the longest window that the local fit describes within `max_residual` errors, rms.
 
     Any force that the motions lack raises the residuals of a window that shows it. The rule does not look at the error
     of the velocity, because the smallest of several uncertain errors is too small. If no window is so good, the
     errors are larger than claimed, as in encoded films. The best of the windows then shows how large they are.
     """
     ahead, tried = np.abs(stretch.time - contact), list[tuple[Stretch, float]]()
-    limit = MAX_RESIDUAL**2
+    limit = max_residual**2
     for share in (1.0, 0.63, 0.4, 0.25, 0.16, 0.1):
         keep = ahead <= share * float(ahead.max(initial=0.0)) * 1.0001
         if int(keep.sum()) < min(5, len(stretch)):
@@ -294,9 +294,9 @@ def _log_weight(part: tuple[float, LocalSolution]) -> float:
     return part[0] + part[1].log_evidence
 
 
-def _drop_unlikely(parts: list[tuple[float, LocalSolution]]) -> list[tuple[float, LocalSolution]]:
-    """Sort solutions by their weights, largest first; drop those below LEAST_WEIGHT of the largest."""
-    parts = sorted(parts, key=lambda part: -_log_weight(part))[:MAX_SOLUTIONS]
+def _drop_unlikely(parts: list[tuple[float, LocalSolution]], most: int = 16) -> list[tuple[float, LocalSolution]]:
+    """Sort solutions by their weights, and keep at most so many that have LEAST_WEIGHT of the largest or more."""
+    parts = sorted(parts, key=lambda part: -_log_weight(part))[:most]
     return [part for part in parts if _log_weight(part) >= _log_weight(parts[0]) + np.log(LEAST_WEIGHT)]
 
 

@@ -26,7 +26,6 @@ from tracker.measurement.stretch_cuts import CUTTER, measure_path_noise
 MAX_POSITIONS = 45  # of a stretch; more are averaged in groups
 NEAR_ERRORS = 4.0  # factor on the errors of positions beside the contact
 KEPT_POSITIONS = 25  # of these, next to the contact, which are not averaged
-LEAST_FOR_NOISE = 12  # positions of a stretch, from which on a kink in it hardly changes its noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +150,8 @@ def _end_at_contact(track: BallTrack, rows: Ints, near: Flags, after: bool, fram
         return rows
     time, position = track.time[free], track.position[free]
     noise = measure_path_noise([(track.frame, track.position)])
-    if len(free) >= LEAST_FOR_NOISE:  # codecs hardly move a body that rests
+    long = 12  # positions, among which a kink hardly changes the noise
+    if len(free) >= long:  # codecs hardly move a body that rests
         noise = np.fmax(noise, measure_path_noise([(track.frame[free], track.position[free])]))
     if not np.isfinite(noise) or not CUTTER.moves(time, position, noise):
         return rows
