@@ -34,11 +34,15 @@ class VideoWriter:
     fps: frame rate, 1/s.
     size: width and height, px.
     bits: of the frames.
+    name: of the file, whose ending chooses the container; default: what players expect of the codec.
     """
 
-    def __init__(self, folder: Path, how: dict[str, Any], fps: float, size: tuple[int, int], bits: int) -> None:
+    def __init__(
+        self, folder: Path, how: dict[str, Any], fps: float, size: tuple[int, int], bits: int, name: str = ""
+    ) -> None:
         codec = how["codec"]
-        self.path = folder / ("frames.mp4" if codec == "h264" else "frames.avi" if fps <= MAX_AVI_FPS else "frames.mov")
+        usual = "frames.mp4" if codec == "h264" else "frames.avi" if fps <= MAX_AVI_FPS else "frames.mov"
+        self.path = folder / (name or usual)
         self._how, self._size, self._bits = how, size, bits
         self._wide = bits > 8 and codec == "ffv1"
         white = 2**bits - 1
