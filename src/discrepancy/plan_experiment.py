@@ -185,23 +185,20 @@ def plan(
 
     found = _typical_limits(given, clips, noise, seed, tick)
     before, after = compare.limits_with_changes(designed.experiment, tick) if changes else (found, ())
+    gains = [compare.compute_gain_of_change(before, change, chosen) for change in after]
     repeat = partial(_typical_limits, given, noise=noise, seed=seed)
-    wanted = _count_wanted_collisions(wished, found, clips, repeat, tick)
-    progress(total, total)
-    return Plan(
-        PlanResult(
-            name=given.name,
-            designed=designed,
-            limits=tuple(x for x in found if x.effect in chosen),
-            pairs=_pairs_with_advice(found, before, after, chosen, designed),
-            before=before,
-            tried=after,
-            gains=tuple(
-                sorted((compare.compute_gain_of_change(before, t, chosen) for t in after), key=lambda g: -g.naming)
-            ),
-            wanted=wanted,
-        )
+    outcome = PlanResult(
+        name=given.name,
+        designed=designed,
+        limits=tuple(x for x in found if x.effect in chosen),
+        pairs=_pairs_with_advice(found, before, after, chosen, designed),
+        before=before,
+        tried=after,
+        gains=tuple(sorted(gains, key=lambda gain: -gain.naming)),
+        wanted=_count_wanted_collisions(wished, found, clips, repeat, tick),
     )
+    progress(total, total)
+    return Plan(outcome)
 
 
 def _typical_limits(

@@ -25,6 +25,15 @@ class GlintImages:
     order: Index  # number of bounces (G,)
 
 
+@dataclass(frozen=True)
+class ImageSelection:
+    """Which images of a lamp are found, and into which cells the lamp is cut, each with its own image."""
+
+    cell: float = np.inf  # half-width of the cells, m; only a wider lamp is cut
+    faintest: float = reflections.MIN_RELATIVE_FLUX  # flux over that of the primary
+    bounces: range = range(1, 99)  # numbers of reflections
+
+
 def find_glints(
     camera: PinholeCamera,
     lamp: Lamp,
@@ -32,9 +41,7 @@ def find_glints(
     radii: Array,
     light: Array | Flags,
     surface: Surface = STEEL_ON_BLACK,
-    cell: float = np.inf,
-    faintest: float = reflections.MIN_RELATIVE_FLUX,
-    bounces: range = range(1, 99),
+    selection: ImageSelection = ImageSelection(),
 ) -> GlintImages:
     """Find the images of a lamp, without the further ones behind it, in balls.
 
@@ -44,11 +51,9 @@ def find_glints(
     centres: (T, N, 3), m, at each moment.
     radii: (N,), m.
     light: (T, N), brightness of the lamp relative to its mean; 0 for balls whose images are not wanted.
-    cell: m, half-width of the cells into which a wider lamp is cut, each with its own image.
-    faintest: flux over that of the primary, below which an image is left out.
-    bounces: numbers of reflections of the images.
     """
-    eye, cells, axes, chains = camera.centre, lamp.cells(cell), lamp.axes, (faintest, bounces[-1])
+    eye, cells, axes, bounces = camera.centre, lamp.cells(selection.cell), lamp.axes, selection.bounces
+    chains = selection.faintest, bounces[-1]
     widest = radii.max() * reflections.find_reach_of_reflections(surface.head_on, *chains)
     reach = reflections.find_blocking_distance(cells.positions, eye, centres, radii, widest)
     near = reflections.find_neighbours(centres, reach)

@@ -165,27 +165,12 @@ def combine(
     if not given:
         raise InputError("results: none, expected at least one folder of results")
     table, notes = _read_all(given)
-    uncertain = table["camera"].str.contains('"std": ') & ~table["camera"].str.contains('"errors": ')  # of a warp
-    if uncertain.any():
-        notes.append(
-            "the error of `warp` in camera.json counts as independent from collision to collision; means of collisions "
-            "at the same position are less certain than their errors say. `tracker warp` now writes which part of it "
-            "they share: make the camera file and measure again"
-        )
+    notes += _warn_of_warp(table)
     table, calibrated = _calibrate_together(table)
     notes += calibrated
     table["fit"] = _choose_fits(table)
     wanted = _choose_quantities(table, quantities)
-    found = {}
-    for name in wanted:
-        values = _take_values(table, name)
-        if not len(values):
-            continue
-        used = table.loc[values.index]
-        effects = shared_effects(used, (name,), "tied", "rolling", "free")
-        if name == "mass_ratio":
-            effects[_is_turned(used)] *= -(values["value"].to_numpy()[_is_turned(used), None, None] ** 2)
-        found[name] = combine_quantity(name, values, effects)
+    found = {name: one for name in wanted if (one := _combine_one(table, name))}
     if not found:
         states = ", ".join(f"{count} {status}" for status, count in table["status"].value_counts().items())
         folders = ", ".join(f"{one}" for one in given if not isinstance(one, Result))
@@ -194,6 +179,30 @@ def combine(
     if "mass_ratio" in found:
         notes.append(f"mass_ratio is that of the particle with the lower number over the other. {SAME_BODIES}")
     return CombinedSet(table, found, fit_all_jointly(table), tuple(notes))
+
+
+def _combine_one(table: pd.DataFrame, name: str) -> CombinedQuantity | None:
+    """Combine the values of one quantity; None if no collision has one."""
+    values = _take_values(table, name)
+    if not len(values):
+        return None
+    used = table.loc[values.index]
+    effects = shared_effects(used, (name,), "tied", "rolling", "free")
+    if name == "mass_ratio":
+        effects[_is_turned(used)] *= -(values["value"].to_numpy()[_is_turned(used), None, None] ** 2)
+    return combine_quantity(name, values, effects)
+
+
+def _warn_of_warp(table: pd.DataFrame) -> list[str]:
+    """The note on warps whose error is not divided into what recordings share and what they do not."""
+    uncertain = table["camera"].str.contains('"std": ') & ~table["camera"].str.contains('"errors": ')
+    if not uncertain.any():
+        return []
+    return [
+        "the error of `warp` in camera.json counts as independent from collision to collision; means of collisions at "
+        "the same position are less certain than their errors say. `tracker warp` now writes which part of it they "
+        "share: make the camera file and measure again"
+    ]
 
 
 def _read_all(given: Sequence[str | Path | Result]) -> tuple[pd.DataFrame, list[str]]:

@@ -23,7 +23,7 @@ from synthcam.camera.exposure import (
     outline_half_width,
     place_sub_exposures,
 )
-from synthcam.camera.glints import GlintImages, find_glints, join_glints, narrow_cell
+from synthcam.camera.glints import GlintImages, ImageSelection, find_glints, join_glints, narrow_cell
 from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.plate import (
     BLACK_PLATE_RADIANCE,
@@ -100,7 +100,7 @@ class MirrorRenderer(Renderer):
 
     def _find_resting_glint(self, lamp: Lamp, cell: float) -> GlintImages:
         rest, one = np.array([[[0, 0, self.radii[0]]]]), np.ones((1, 1), bool)
-        return find_glints(self.camera, lamp, rest, self.radii[:1], one, self.surface, cell)
+        return find_glints(self.camera, lamp, rest, self.radii[:1], one, self.surface, ImageSelection(cell))
 
     def _measure_unit(self) -> float:
         """The factor that makes the peak of the glint of a ball at rest 1."""
@@ -282,8 +282,8 @@ class MirrorRenderer(Renderer):
         found = []
         for lamp, cell in zip(self.lamp.all, self._cells, strict=True):
             light = wanted * lamp.light(moments.times)[:, None]
-            wanted_images = self.surface, cell, self.faintest, bounces
-            found.append(find_glints(self.camera, lamp, positions, self.radii, light, *wanted_images))
+            selection = ImageSelection(cell, self.faintest, bounces)
+            found.append(find_glints(self.camera, lamp, positions, self.radii, light, self.surface, selection))
         return join_glints(found)
 
     def _place_moments(

@@ -20,7 +20,7 @@ from synthcam.camera.exposure import (
     outline_half_width,
     place_sub_exposures,
 )
-from synthcam.camera.glints import find_glints, join_glints, narrow_cell
+from synthcam.camera.glints import ImageSelection, find_glints, join_glints, narrow_cell
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.renderer import Centres, Pictures, Renderer
@@ -248,7 +248,7 @@ class RoomRenderer(Renderer):
         for lamp in self.lamp.all:
             whole = find_glints(self.camera, lamp, centres[None], radii, light, mirror)
             cell = narrow_cell(self.camera, lamp, whole.spread[:1])
-            found.append(find_glints(self.camera, lamp, centres[None], radii, light, mirror, cell))
+            found.append(find_glints(self.camera, lamp, centres[None], radii, light, mirror, ImageSelection(cell)))
         glints = join_glints(found)
         variances = glints.spread + self.camera.psf_sigma_px**2
         rows, columns = integrate_spots(glints.pixels, variances, low[None].astype(float), width, self.psf.steps)

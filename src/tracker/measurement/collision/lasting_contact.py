@@ -376,34 +376,20 @@ def fit_lasting_contact(
     if found is None or isinstance(found, str):
         return found
     rough, window = found
-    outside, kind = rough.problem.pair, rough.problem.kind
-    fit = LastingFit.to(outside, kind, [rough.x])
-    correlated = with_correlated_noise(replace(outside, diameter=float(fit.x[-1])), _as_free(fit))
-    if correlated is not None:
-        outside = replace(correlated, diameter=diameter)
-        fit = LastingFit.to(outside, kind, [fit.x])
-    if compute_p_value(fit.chi2, fit.dof, outside.striker.noise_dof) < level:
+    fit = _refine(rough, diameter)
+    outside, is_straight = fit.problem.pair, fit.problem.kind == "straight"
+    noise_dof, step = outside.striker.noise_dof, float(np.median(np.diff(pair.striker.start)))
+    if compute_p_value(fit.chi2, fit.dof, noise_dof) < level:
         return None
-    is_straight = kind == "straight"
     tied = fit if is_straight else LastingFit.to(outside, "tied", _tied_starts(fit))
-    fits = [fit]
-    p_agree = compute_p_of_rise(tied.chi2 - fit.chi2, tied.dof - fit.dof, outside.striker.noise_dof)
-    if not is_straight and not p_agree < level:
-        fits.append(tied)
-    best = max(fits, key=_sigmas_within)
+    best = fit
+    if not is_straight and not compute_p_of_rise(tied.chi2 - fit.chi2, tied.dof - fit.dof, noise_dof) < level:
+        best = max(fit, tied, key=_sigmas_within)
     lasting = None
-    step = float(np.median(np.diff(pair.striker.start)))
     if _sigmas_within(best) > least_sigma and fit.times(fit.x).sum() > min_duration_frames * step:
         lasting = _measure_duration(best, pair, window)
     elif not is_straight or abs(_sigmas_within(best)) > least_sigma:
-        if is_straight or shows_friction(tied.values(), settings):
-            return None
-        # straight lines may describe an impact whose slides no fit shows
-        straight = LastingFit.to(outside, "straight", [_straighten(fit, pair)])
-        p = compute_p_value(straight.chi2, straight.dof, outside.striker.noise_dof)
-        if p < 1e-3 or _momentum_p(straight) < level:
-            return None
-        return LastingFits(None, outside, straight, straight, (False, False), _may_hide_slide(straight))
+        return None if is_straight or shows_friction(tied.values(), settings) else _fit_impact(fit, pair, level)
     if is_straight:
         balanced = not _momentum_p(fit) < level
         if lasting is None and not balanced:
@@ -413,6 +399,24 @@ def fit_lasting_contact(
     hides = left < MIN_FRAMES * step or (not shows_friction(tied.values(), settings) and _may_hide_slide(tied))
     one, two = (_is_slide_end_seen(fit, ball, track) for ball, track in outside.balls)
     return LastingFits(lasting, outside, tied, fit, (one, two), hides)
+
+
+def _refine(rough: LastingFit, diameter: float) -> LastingFit:
+    """Fit in full what was fitted roughly, with the correlated noise that the tracks show."""
+    outside, kind = rough.problem.pair, rough.problem.kind
+    fit = LastingFit.to(outside, kind, [rough.x])
+    correlated = with_correlated_noise(replace(outside, diameter=float(fit.x[-1])), _as_free(fit))
+    return fit if correlated is None else LastingFit.to(replace(correlated, diameter=diameter), kind, [fit.x])
+
+
+def _fit_impact(fit: LastingFit, pair: BallPair, level: float) -> LastingFits | None:
+    """Fit straight lines, which may describe an impact whose slides no fit shows; None if they do not."""
+    outside = fit.problem.pair
+    straight = LastingFit.to(outside, "straight", [_straighten(fit, pair)])
+    p = compute_p_value(straight.chi2, straight.dof, outside.striker.noise_dof)
+    if p < 1e-3 or _momentum_p(straight) < level:
+        return None
+    return LastingFits(None, outside, straight, straight, (False, False), _may_hide_slide(straight))
 
 
 def _find_frames_in_contact(pair: BallPair, window: tuple[int, int]) -> tuple[LastingFit, tuple[int, int]] | str | None:

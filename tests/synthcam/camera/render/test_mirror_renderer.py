@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from benchmarks.camera import camera_reference
 from synthcam.camera import reflections
 from synthcam.camera.exposure import merge_boxes
-from synthcam.camera.glints import find_glints
+from synthcam.camera.glints import ImageSelection, find_glints
 from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.render import MirrorRenderer
 from synthcam.camera.surface import STEEL_REFLECTANCE
@@ -187,7 +187,9 @@ def test_glints_among_many_neighbours_are_all_there_and_stand_as_traced():
     around = (0.1, 2.0), (1.2, 2.3), (2.4, 3.5), (3.3, 2.05), (4.4, 2.6), (5.4, 5.0), (5.5, 14.0)
     rings = [[0.01 + far * R * np.cos(turn), far * R * np.sin(turn), R] for turn, far in around]
     centres, radii, faint = np.array([[0.01, 0, R], *rings]), np.full(8, R), 1e-3
-    glints = find_glints(overhead(), LAMP, centres[None], radii, np.ones((1, 8), bool), faintest=faint)
+    glints = find_glints(
+        overhead(), LAMP, centres[None], radii, np.ones((1, 8), bool), selection=ImageSelection(faintest=faint)
+    )
     bright, eye = glints.flux > faint * glints.flux.max(), overhead().centre
     for order in (2, 3):
         chains = [c for c in product(range(8), repeat=order) if all(a != b for a, b in pairwise(c))]
