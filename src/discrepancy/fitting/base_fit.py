@@ -15,7 +15,7 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import list_names_to_fit
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.fitting.stretch_starts import fit_launches, leave_local_minima
+from discrepancy.fitting.stretch_starts import leave_local_minima
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
 from discrepancy.time_left import in_stage
@@ -52,12 +52,15 @@ def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[Me
 
 
 @in_stage("fit")
-def fit_base_model(clips: Sequence[MeasuredCollision], model: Model, noise: Noise, poor: float = 100.0) -> ModelFit:
+def fit_base_model(
+    clips: Sequence[MeasuredCollision], model: Model, noise: Noise, poor: float = 100.0, first_starts: bool = False
+) -> ModelFit:
     """Fit the model's base parameters that are not zero, and those in `model.free`.
 
     The fit starts from the model's values. If it ends with chi^2 per degree of freedom above `poor`, it starts again
     from the friction that the durations of slides after impacts give. The rolling loss is scaled too, as a wrong clock
-    would do it. The default of `poor` is far beyond any misfit of a start near the minimum.
+    would do it. The default of `poor` is far beyond any misfit of a start near the minimum. Free stretches that are
+    fitted poorly begin from other starts (`leave_local_minima`), unless `first_starts` is true.
 
     Raises InputError where the model has no motion for these collisions.
     """
@@ -68,11 +71,11 @@ def fit_base_model(clips: Sequence[MeasuredCollision], model: Model, noise: Nois
         names = tuple(name for name in names if name not in impact_parameters)
     try:
         found = fit_model(clips, model, names, noise)
-        if free:
+        if free and not first_starts:
             return leave_local_minima(WhitenedClips.of(clips, noise), found)
     except ValueError as e:
         raise InputError(f"the model has no motion for these collisions: {e}") from None
-    if found.chi2 > poor * (found.points - found.parameters) and "sliding_friction" in names:
+    if found.chi2 > poor * (found.points - found.parameters) and "sliding_friction" in names and not free:
         with suppress(ValueError):
             again = fit_model(clips, _rescale_friction(clips, model), names, noise)
             return min(found, again, key=lambda f: f.chi2)
@@ -86,11 +89,11 @@ def remove_outliers_beside_model(
 
     The base model is fitted to `clips`; of the held-out clips only the launches are fitted. Returns both lists.
     """
-    base = fit_base_model(clips, model, CLAIMED_NOISE)
+    base = fit_base_model(clips, model, CLAIMED_NOISE, first_starts=True)
     every, places = [*clips, *kept_out], base.launches
     with suppress(ValueError):  # the model has no motion for one of them
         if kept_out:
-            places = np.concatenate([places, fit_launches(kept_out, base.model, CLAIMED_NOISE).launches])
+            places = np.concatenate([places, fit_model(kept_out, base.model, (), CLAIMED_NOISE).launches])
     predicted = every[: len(places)]
     kept = [*remove_outliers(predicted, predict_tracks(base.model, places, predicted)), *every[len(places) :]]
     return kept[: len(clips)], kept[len(clips) :]

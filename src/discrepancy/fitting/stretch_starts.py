@@ -73,13 +73,15 @@ def fit_launches(
     return leave_local_minima(whitened, minimise_chi2(whitened, linearise(whitened, model, (), start)))
 
 
-def leave_local_minima(whitened: WhitenedClips, fit: ModelFit, max_rounds: int = 3) -> ModelFit:
+def leave_local_minima(whitened: WhitenedClips, fit: ModelFit, max_rounds: int = 2) -> ModelFit:
     """Fit again from better starts of the stretches that are fitted poorly, until none is better.
 
     `choose_starts` looks for the start of a stretch beside the given model. If that lacks much, a slide may begin where
     a ball rolls. The fit then stays at a local minimum, also with the effect that was missing, and the effect seems to
-    explain little. A stretch counts as poor above `SearchPolicy.poor_chi2_per_point`. Whole collisions, and bodies that
-    never slide, have no such minima.
+    explain little. Whole collisions, and bodies that never slide, have no such minima.
+
+    A stretch counts as poor above `SearchPolicy.poor_chi2_per_point`, and above as many times the median of all. If all
+    are poor, the noise or the shared parameters are at fault.
     """
     for _ in range(max_rounds):
         launches = _find_better_launches(whitened, fit)
@@ -91,8 +93,10 @@ def leave_local_minima(whitened: WhitenedClips, fit: ModelFit, max_rounds: int =
 
 def _find_better_launches(whitened: WhitenedClips, fit: ModelFit, least: float = 2.0) -> Array | None:
     """Find launches of poor stretches that lower chi^2 by more than `least`, by the shared values of a fit."""
-    clips, most = whitened.clips, current_policy().poor_chi2_per_point
-    poor = [k for k, r in enumerate(fit.residuals) if clips[k].is_stretch and r @ r > most * len(r)]
+    clips = whitened.clips
+    chi2 = np.array([r @ r / len(r) for r in fit.residuals])
+    most = current_policy().poor_chi2_per_point * max(float(np.median(chi2)), 1.0)
+    poor = [k for k in np.flatnonzero(chi2 > most).tolist() if clips[k].is_stretch]
     if not (poor and fit.model.sliding_friction):
         return None
     some = WhitenedClips(tuple(clips[k] for k in poor), tuple(whitened.whiteners[k] for k in poor))
@@ -102,7 +106,7 @@ def _find_better_launches(whitened: WhitenedClips, fit: ModelFit, least: float =
     launches = fit.launches.copy()
     for start in [np.array([clips[k].launch for k in poor]), *tries]:
         with suppress(*STEP_ERRORS):  # no motion from one of these starts
-            found = minimise_chi2(some, linearise(some, fit.model, (), start))
+            found = minimise_chi2(some, linearise(some, fit.model, (), start), rough=True)
             for k, r, own in zip(poor, found.residuals, found.launches, strict=True):
                 if r @ r < best[k]:
                     best[k], launches[k] = float(r @ r), own
