@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -45,3 +46,18 @@ def save(path: Path, figures: Any) -> None:
     """Write figures as JSON, the folder made where it is missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+def keep(path: Path, part: str, measure: Callable[[], Any]) -> Any:
+    """The figures of a part: those of its line of `path`, or measured and added there, so that a stopped run continues.
+
+    Delete the file to measure again.
+    """
+    lines = path.read_text().splitlines() if path.is_file() else []
+    kept = {line["part"]: line["figures"] for line in map(json.loads, lines)}
+    if part not in kept:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        kept[part] = json.loads(json.dumps(measure()))
+        with path.open("a") as file:
+            file.write(json.dumps({"part": part, "figures": kept[part]}) + "\n")
+    return kept[part]

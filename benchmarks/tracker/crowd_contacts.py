@@ -2,6 +2,8 @@
 
 python -m benchmarks.tracker.crowd_contacts [--films 20] [--scene crowd] [--rendered]   # or make bench-crowd-contacts
 
+A run that was stopped continues: films whose line OUTPUT.jsonl has are not measured again.
+
 Positions are true ones with 0.05 px noise, unless films are rendered and tracked. The score z is a deviation over its
 standard error. Each column of contacts.parquet has its mean and rms z, and the shares of |z| below 1 and 1.96: 0.68 and
 0.95 are right.
@@ -10,6 +12,7 @@ standard error. Each column of contacts.parquet has its mean and rms z, and the 
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +21,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 import tracker
-from benchmarks.harness import ROOT, save
+from benchmarks.harness import ROOT, keep, save
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
 from tracker.measurement.crowd.contact_table import summarise_contacts
+from tracker.measurement.local.recommendation import NONE
 
 Floats = NDArray[np.float64]
 NOISE_PX = 0.05
@@ -30,8 +34,8 @@ REACH_S = 0.008  # within which a contact that is found may be a true one
 COLUMNS = ("t_s", "kick", "v_n", "v_t", "r", "mu_bb", "mu_k", "impulse", "energy", "energy_lost")
 
 
-def measure_film(scene: str, number: int, *, rendered: bool = False) -> tuple[dict[str, Any], pd.DataFrame]:
-    """Numbers of one film, and a row for each true contact that is found: column, value, std, truth, gap."""
+def measure_film(scene: str, number: int, *, rendered: bool = False) -> dict[str, Any]:
+    """Numbers of one film, and rows of each true contact that is found: column, value, std, truth, gap."""
     clip = Scene.read(scene).draw(seed=number)
     result = tracker.track(clip.film(), clip.camera_json) if rendered else measure_true_positions(clip, number)
     contacts = result.contacts.replace(dict.fromkeys(("particle1", "particle2"), name_balls(clip, result)))
@@ -40,6 +44,10 @@ def measure_film(scene: str, number: int, *, rendered: bool = False) -> tuple[di
     true = true[true["t_s"].between(MARGIN_S, last)]
     found = contacts[contacts["t_s"].between(MARGIN_S, last)]
     rows = match(true, found)
+    ratios = result.estimates[result.estimates["recommended"] != NONE]
+    ratios = ratios[~ratios["misfit_local"].astype(bool) & (ratios["mass_ratio_std"] > 0)]
+    recoil = {"column": "mass_ratio", "value": ratios["mass_ratio"], "std": ratios["mass_ratio_std"], "truth": 1.0}
+    rows = pd.concat([rows, pd.DataFrame(recoil)], ignore_index=True)
     model = clip.model
     truths = {"r": model.restitution, "mu_k": model.sliding_friction}
     means = {
@@ -48,15 +56,16 @@ def measure_film(scene: str, number: int, *, rendered: bool = False) -> tuple[di
         if name in truths
     }
     counts = {"contacts": len(true), "found": len(found), "matched": int((rows["column"] == "t_s").sum())}
-    return counts | {"means": means}, rows
+    return counts | {"means": means, "rows": rows.to_dict("records")}
 
 
 def measure_true_positions(clip: Clip, seed: int) -> tracker.Result:
     """Measure the true positions of a clip with noise."""
     rng = np.random.default_rng(seed)
-    x, y = (clip.tracks[f"{axis}_mean_px"] + NOISE_PX * rng.standard_normal(len(clip.tracks)) for axis in "xy")
-    table = clip.tracks[["frame", "particle"]].assign(x=x, y=y, x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0)
-    return tracker.measure(table[clip.tracks.visible], clip.camera_json)
+    true = clip.tracks
+    x, y = (true[f"{axis}_mean_px"] + NOISE_PX * rng.standard_normal(len(true)) for axis in "xy")
+    table = true[["frame", "particle"]].assign(x=x, y=y, x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0)
+    return tracker.measure(table[true.visible], clip.camera_json)
 
 
 def name_balls(clip: Clip, result: tracker.Result) -> dict[int, int]:
@@ -74,7 +83,7 @@ def read_true_contacts(clip: Clip) -> pd.DataFrame:
     """The contacts and bounces of the simulation with the values that contacts.parquet has."""
     motion, ball = clip.solve(), clip.model.ball
     events = motion.events[motion.events["kind"].isin(["contact", "wall"])].reset_index(drop=True)
-    at, count = events["t_s"].to_numpy(), clip.tracks["particle"].nunique()
+    at, count = events["t_s"].to_numpy(), len(motion.at([0.0]))
     before, after = (
         motion.at(when).sort_values(["particle", "t_s"])[["x", "y", "vx", "vy"]].to_numpy().reshape(count, len(at), 4)
         for when in (np.maximum(at - 1e-9, 0), at)
@@ -136,10 +145,17 @@ def score(z: Floats) -> dict[str, float]:
     }
 
 
-def measure_films(scene: str, count: int, *, rendered: bool = False) -> dict[str, Any]:
-    """Recall and precision of contacts, scores of each column, scores of the means of the films, and the films."""
-    films, rows = zip(*(measure_film(scene, number, rendered=rendered) for number in range(1, count + 1)), strict=True)
-    table: pd.DataFrame = pd.concat(rows, ignore_index=True)
+def measure_films(scene: str, count: int, kept: Path, *, rendered: bool = False) -> dict[str, Any]:
+    """Recall and precision of contacts, scores of each column, scores of the means of the films, and the films.
+
+    kept: the file of the films that were measured before.
+    """
+    films = list[dict[str, Any]]()
+    for number in range(1, count + 1):
+        part = f"{'rendered ' if rendered else ''}{scene} {number}"
+        films.append(keep(kept, part, partial(measure_film, scene, number, rendered=rendered)))
+        print(part, *(f"{name} {mean}" for name, mean in films[-1]["means"].items()), flush=True)
+    table = pd.DataFrame([row for film in films for row in film.pop("rows")])
     table["z"] = (table["value"] - table["truth"]) / table["std"]
     total = {key: sum(film[key] for film in films) for key in ("contacts", "found", "matched")}
     late = table[table["column"] == "t_s"]
@@ -165,7 +181,8 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out/crowd_contacts.json")
     parser.add_argument("--rendered", action="store_true", help="render the films and track them")
     given = parser.parse_args()
-    figures = measure_films(given.scene, given.films, rendered=given.rendered)
+    kept = given.output.with_suffix(".jsonl")
+    figures = measure_films(given.scene, given.films, kept, rendered=given.rendered)
     save(given.output, figures)
     print(pd.DataFrame(figures["columns"]).T.round(2).to_string())
     print({name: value for name, value in figures.items() if name not in ("columns", "films")})

@@ -5,7 +5,7 @@ python -m benchmarks.tracker.crowds [--films 20] [--short] [-o JSON] [--figure P
 No film is rendered. Positions are those of the simulation with 0.05 px noise; a hundredth is missing, and each frame
 has one false spot in the mean. All linkers get the same positions in the same run. trackpy predicts by the nearest
 velocity, with a reach that adapts. A linker's reach is 1.2 of the longest true step of a ball. Tracks of one or two
-frames count for none.
+frames count for none. A run that was stopped continues: parts whose line OUTPUT.jsonl has are not measured again.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import argparse
 import importlib
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ import pandas as pd
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
-from benchmarks.harness import ROOT, save
+from benchmarks.harness import ROOT, keep, save
 from benchmarks.tracker.crowd_contacts import measure_films
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
@@ -56,8 +57,8 @@ def make_tray(speed: float, frames: int, count: int = 100, side: float = SIDE) -
 
 def detect(clip: Clip, seed: int = 0) -> tuple[Glints, Ints]:
     """Detections in random order, and the ball of each, -1 for a false one."""
-    rng, camera = np.random.default_rng(seed), clip.camera_json
-    seen = clip.tracks[clip.tracks.visible & (rng.random(len(clip.tracks)) >= MISSED)]
+    rng, camera, every = np.random.default_rng(seed), clip.camera_json, clip.tracks
+    seen = every[every.visible & (rng.random(len(every)) >= MISSED)]
     count = rng.poisson(FALSE_SPOTS * clip.frames)
     true = seen[["x_mean_px", "y_mean_px"]].to_numpy() + NOISE_PX * rng.standard_normal((len(seen), 2))
     frame = np.r_[seen.frame.to_numpy(), rng.integers(0, clip.frames, count)].astype(np.int64)
@@ -73,8 +74,9 @@ def detect(clip: Clip, seed: int = 0) -> tuple[Glints, Ints]:
 
 def measure_steps(clip: Clip) -> tuple[float, float]:
     """The median first step and the longest step of a ball, px."""
-    steps = np.hypot(*clip.tracks.groupby("particle")[["x_mean_px", "y_mean_px"]].diff().to_numpy().T)
-    return float(np.median(steps[clip.tracks.frame == 1])), float(np.nanmax(steps))
+    true = clip.tracks
+    steps = np.hypot(*true.groupby("particle")[["x_mean_px", "y_mean_px"]].diff().to_numpy().T)
+    return float(np.median(steps[true.frame == 1])), float(np.nanmax(steps))
 
 
 def make_linkers(camera: Camera, longest: float) -> dict[str, Callable[[Glints], Ints]]:
@@ -120,6 +122,11 @@ def score_linkers(clip: Clip) -> dict[str, Any]:
     return out
 
 
+def score_tray(speed: float, frames: int = 60) -> dict[str, Any]:
+    """Scores of all linkers on a tray of 100 balls."""
+    return score_linkers(make_tray(speed, frames))
+
+
 def draw(figures: dict[str, Any], path: Path) -> None:
     """HOTA by step over spacing, and the mean r of each film with its error."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
@@ -147,16 +154,19 @@ def main() -> None:
     parser.add_argument("--figure", type=Path, default=ROOT / "out/crowds.png")
     parser.add_argument("--short", action="store_true", help="without the two long films")
     given = parser.parse_args()
-    long_films: dict[str, Callable[[], Clip]] = {
-        "crowd of 30, 1000 frames": lambda: Scene.read("crowd", timing={"frames": 1000}).draw(seed=1),
-        "100 balls that cool, 500 frames": lambda: make_tray(0.3, 500),
+    long_films: dict[str, Callable[[], Any]] = {
+        "crowd of 30, 1000 frames": lambda: score_linkers(Scene.read("crowd", timing={"frames": 1000}).draw(seed=1)),
+        "100 balls that cool, 500 frames": lambda: score_tray(0.3, 500),
     }
-    figures: dict[str, Any] = {"linking": [score_linkers(make_tray(speed, 60)) for speed in SPEEDS]}
-    print(*figures["linking"], sep="\n", flush=True)
+    kept = given.output.with_suffix(".jsonl")
+    figures: dict[str, Any] = {"linking": []}
+    for speed in SPEEDS:
+        figures["linking"].append(keep(kept, f"linking {speed}", partial(score_tray, speed)))
+        print(figures["linking"][-1], flush=True)
     for name, make in ({} if given.short else long_films).items():
-        figures[name] = score_linkers(make())
+        figures[name] = keep(kept, name, make)
         print(name, figures[name], flush=True)
-    figures["contacts"] = measure_films("crowd", given.films)
+    figures["contacts"] = measure_films("crowd", given.films, kept)
     print({name: value for name, value in figures["contacts"].items() if name != "films"})
     save(given.output, figures)
     draw(figures, given.figure)

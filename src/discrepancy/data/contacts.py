@@ -98,7 +98,12 @@ class Contacts:
 
 
 def _is_usable(row: Mapping[Any, Any]) -> bool:
-    """Decide by the tracker's rule, without a tied fit; in a crowd one ball may be heavier."""
+    """Decide by the tracker's rule, without a tied fit; in a crowd one ball may be heavier.
+
+    In a crowd a third ball may hit one of both, and then no free motion describes its positions.
+    """
+    if row["status"] == CROWD and bool(row.get("misfit_local", False)):
+        return False
     if row["status"] == TOGETHER or not (_is_known(row, "v0_local") and _is_known(row, "b_local")):
         return False
     hits = {"local_hits": 0} if row["status"] == CROWD else {}

@@ -51,6 +51,13 @@ def test_a_contact_without_a_usable_local_estimate_is_left_out(fault):
     assert len(Contacts.of([ROW, ROW | fault])) == 1
 
 
+@pytest.mark.parametrize("misfit", [False, True])
+def test_a_contact_of_a_crowd_that_no_free_motion_describes_is_left_out(misfit):
+    """A third ball that hits one of both makes their recoil wrong by five claimed errors."""
+    row = ROW | {"status": "crowd", "particle1": 3, "particle2": 8, "collision": 0, "misfit_local": misfit}
+    assert len(Contacts.of([ROW, row])) == 2 - misfit
+
+
 def test_shared_errors_follow_into_each_quantity():
     shared = {"fps": {"of": 50.0, "effect": {"b": 0.004, "r": 0.003, "s": -0.005, "mass_ratio": 0.02}}}
     given = ROW | {"local_shared": json.dumps(shared)}

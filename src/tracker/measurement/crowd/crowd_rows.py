@@ -18,12 +18,15 @@ from tracker.measurement.crowd.track_contacts import TrackContact
 from tracker.measurement.local.descents import FitInSteps, run_together
 from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate, estimate_in_steps
 from tracker.measurement.local.local_fit import MAY_ROLL
+from tracker.measurement.local.local_problem import KnownSlide
 from tracker.measurement.local.stretches import SLIDE_AND_ROLL
 from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
 
 MU_K = LOCAL_NAMES.index("mu_k")
+FILM_FRICTION_FACTOR = 0.1  # error of the logarithm of the friction that a film shows
 SHORT_SLIDE = "other contacts of the film show the friction better"
+ANY_TURN = float(np.pi / np.sqrt(3))  # rad, error of a direction of which nothing is known
 _Estimates: TypeAlias = dict[int, tuple[Contact | None, LocalEstimate | str]]
 
 
@@ -47,7 +50,6 @@ def estimate_contacts(
     max_friction_error: relative, of a contact that counts.
     at_once: contacts that are estimated together, which is quicker.
     """
-    film_friction_factor = 0.1  # error of the logarithm of the friction that a film shows
     tracks = {ball.particle: ball for ball in balls}
     known = camera
     if not camera.support and camera.body == BODIES["ball"]:
@@ -71,10 +73,10 @@ def estimate_contacts(
     friction = [mu for mu, std in seen if mu > 0 and 0 < std < max_friction_error * mu]
     used, error, done = settings, settings.local_friction_factor, first
     if len(friction) >= min_frictions:
-        common = {"local_friction": float(np.median(friction)), "local_friction_factor": film_friction_factor}
+        common = {"local_friction": float(np.median(friction)), "local_friction_factor": FILM_FRICTION_FACTOR}
         used, done = settings.model_copy(update=common), {}
         median_error = np.sqrt(np.pi / 2)  # of a median of normal values, over that of their mean
-        error = min(float(np.std(np.log(friction))) / np.sqrt(len(friction)) * median_error, film_friction_factor)
+        error = min(float(np.std(np.log(friction))) / np.sqrt(len(friction)) * median_error, FILM_FRICTION_FACTOR)
     done = done | estimate_all([k for k in range(len(pairs)) if k not in done], used, len(longest))
     out = list[tuple[Contact | None, LocalEstimate | str]]()
     for k in range(len(pairs)):
@@ -119,33 +121,55 @@ def _estimate_in_steps(
     settings: FitSettings,
 ) -> FitInSteps[tuple[Contact | None, LocalEstimate | str]]:
     """The two balls of a contact, and its local estimate or the reason why there is none."""
-    slide_factor = 0.3  # error of the logarithm of the duration of a slide by the kick, beyond that of the friction
     window, min_window_s = 10.0 * _slide_duration(contact, settings), 0.05
     own = settings.model_copy(update={"local_window_s": float(np.clip(window, min_window_s, settings.local_window_s))})
-    one, other = (_cut(tracks[n], contact, found, camera) for n in contact.balls)
+    one, other = (_cut(tracks[n], contact, found, camera, settings) for n in contact.balls)
     frame = round(float(np.interp(contact.time, tracks[contact.one].time, tracks[contact.one].frame)))
     try:
         prepared = prepare_contact(ContactCandidate(one, other, frame), camera.ball_diameter, {}, own)
         if prepared.reason:
             return None, prepared.reason
         pair = prepared.pair
-        sliding = [_still_slides(track.particle, contact, found, settings) for _, track in pair.balls]
+        sliding = [_still_slides(track, contact, found, settings) for _, track in pair.balls]
         if all(sliding):
             return prepared, "both balls still slide from an earlier contact"
         if sliding[0]:  # only the striker may slide before the hit; roles do not change what is measured
             pair = replace(pair, struck=pair.striker, striker=pair.struck, target_moves=True)
         prepared = replace(prepared, pair=pair)
-        factor = float(np.hypot(own.local_friction_factor, slide_factor))
-        slide = (_slide_duration(contact, settings), factor) if contact.kick > 0 else None
+        struck, striking = (track.particle for _, track in pair.balls)
+        slides = _know_slide(struck, contact, own, slid=False), _know_slide(striking, contact, own, slid=any(sliding))
         striker = (SLIDE_AND_ROLL,) if any(sliding) else MAY_ROLL  # a short slide looks like a roll
-        return prepared, (yield from estimate_in_steps(prepared, camera, (1.0, 1.0), slide, striker))
+        return prepared, (yield from estimate_in_steps(prepared, camera, (1.0, 1.0), slides, striker))
     except (ArithmeticError, ValueError, IndexError) as error:  # one contact never costs the others
         return None, describe_failure(error)
 
 
-def _slide_duration(contact: TrackContact, settings: FitSettings) -> float:
-    """How long a ball slides after a contact, s, by the change of its velocity."""
-    return 2 * contact.kick / (7 * settings.local_friction * GRAVITY)
+def _slide_duration(contact: TrackContact, settings: FitSettings, particle: int | None = None) -> float:
+    """How long a ball slides after a contact, s, by its slip; by its kick if no ball is given, or no slip is known.
+
+    The surfaces of balls that roll drag one another, so that a slip is not the kick.
+    """
+    slip = np.nan if particle is None else float(np.hypot(*contact.slips[contact.balls.index(particle)]))
+    return 2 * (slip if np.isfinite(slip) else contact.kick) / (7 * settings.local_friction * GRAVITY)
+
+
+def _know_slide(particle: int, contact: TrackContact, settings: FitSettings, *, slid: bool) -> KnownSlide | None:
+    """What the contact shows of the slide of a ball after it; slid: whether the ball slid before.
+
+    The errors are those of slips in films of known truth. A slide costs 2/7 of the slip, whatever the friction. So the
+    duration has no error by the friction, where the film shows that.
+    """
+    share = 0.4 if slid else 0.1  # error of either component of a slip, over the kick
+    turn, factor = 0.1, 0.05  # least errors of the direction, rad, and of the logarithm of the duration
+    friction = settings.local_friction_factor if settings.local_friction_factor > FILM_FRICTION_FACTOR else 0.0
+    slip = contact.slips[contact.balls.index(particle)]
+    size = float(np.hypot(*slip))
+    if not size > 0:
+        return None
+    relative = share * contact.kick / size
+    lasts = _slide_duration(contact, settings, particle)
+    errors = float(np.hypot(turn, relative)), float(np.linalg.norm([factor, relative, friction]))
+    return KnownSlide(lasts, errors[1], float(np.arctan2(*-slip[::-1])), min(errors[0], ANY_TURN))
 
 
 def _seen_slide(contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings) -> float:
@@ -155,16 +179,32 @@ def _seen_slide(contact: TrackContact, found: Sequence[TrackContact], settings: 
     return min(_slide_duration(contact, settings), max(ends) - contact.time)
 
 
-def _still_slides(particle: int, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings) -> bool:
-    """Decide whether a ball may still slide from its contact before this one."""
+def _still_slides(
+    track: BallTrack, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings
+) -> bool:
+    """Decide whether a ball may slide from its contact before in the positions of a cut track."""
+    return _end_slide(track.particle, contact, found, settings) > float(track.time.min(initial=np.inf))
+
+
+def _end_slide(particle: int, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings) -> float:
+    """The instant until which a ball may slide from its contact before this one, s."""
     before = [c for c in found if particle in c.balls and c.time < contact.time]
-    return bool(before) and contact.time - before[-1].time < 1.5 * _slide_duration(before[-1], settings)
+    return before[-1].time + 1.5 * _slide_duration(before[-1], settings, particle) if before else -np.inf
 
 
-def _cut(track: BallTrack, contact: TrackContact, found: Sequence[TrackContact], camera: Camera) -> BallTrack:
-    """The positions of a ball between the contacts before and after this one, without those beside them."""
+def _cut(
+    track: BallTrack, contact: TrackContact, found: Sequence[TrackContact], camera: Camera, settings: FitSettings
+) -> BallTrack:
+    """The positions of a ball between the contacts before and after this one, without those beside them.
+
+    Those of the slide after the contact before are left out too, if enough others are left.
+    """
+    enough = 5  # positions
     times = np.array([c.time for c in found if track.particle in c.balls and c is not contact])
     low = times[times <= contact.time].max(initial=-np.inf)
     high = times[times > contact.time].min(initial=np.inf)
     beside = track.exposure / 2 + 0.5 / camera.fps
+    rolls = _end_slide(track.particle, contact, found, settings)
+    if np.count_nonzero((track.time > rolls) & (track.time < contact.time - beside)) >= enough:
+        low = max(low, rolls - beside)
     return track.where((track.time > low + beside) & (track.time < high - beside))

@@ -135,13 +135,9 @@ def find_track_contacts(balls: Sequence[BallTrack], diameter: float, *, glides: 
     for turn in range(settings.turns):  # each with better instants of the contacts before and after
         away = settings.other_frames if turn else settings.vague_frames
         tried = _examine([((one.particle, other.particle), frame) for one, other, frame in pairs], away, film)
-        found = list[TrackContact]()
-        for contact in sorted(tried, key=lambda contact: -contact.gain):
-            # other contacts of both balls at that instant explain the kinks
-            near = [c for c in found if abs(c.time - contact.time) < film.same_s]
-            if not set(contact.balls) <= {n for c in near for n in c.balls}:
-                found.append(contact)
-        happened = {n: _list_events(by_number[n], kinks[n], found, settings.vague_frames) for n in kinks}
+        earlier, found = found, _choose(tried, [], film)
+        known = [*found, *_choose(earlier, found, film)]  # two contacts of a ball may hide one another in turn
+        happened = {n: _list_events(by_number[n], kinks[n], known, settings.vague_frames) for n in kinks}
         film.events = {n: [*own, *free] for n, (own, free) in happened.items()}
         if settings.friction and film.settings.curvature > settings.known_curvature and turn < settings.turns - 1:
             film.settings = _fit_friction(found, by_number, film)
@@ -156,6 +152,16 @@ def find_track_contacts(balls: Sequence[BallTrack], diameter: float, *, glides: 
         walls += [((n,), frame) for frame in _list_events(ball, kinks[n], found, settings.same_frames)[1]]
     found += _examine(walls, settings.other_frames, film)
     return _widen_errors(_find_partners(found, balls, film), film)
+
+
+def _choose(tried: Sequence[TrackContact], known: Sequence[TrackContact], film: _Film) -> list[TrackContact]:
+    """Choose the contacts of which other ones of both balls at that instant do not explain the kinks."""
+    found = list[TrackContact]()
+    for contact in sorted(tried, key=lambda contact: -contact.gain):
+        near = [c for c in (*known, *found) if abs(c.time - contact.time) < film.same_s]
+        if not set(contact.balls) <= {n for c in near for n in c.balls}:
+            found.append(contact)
+    return found
 
 
 def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], film: _Film) -> ContactFinderSettings:
@@ -239,7 +245,8 @@ def _find_partners(found: Sequence[TrackContact], balls: Sequence[BallTrack], fi
         if chosen is None or any(set(c.balls) == pair and abs(c.time - contact.time) < same for c in out):
             continue
         middle = (contact.xy + chosen[2]) / 2
-        whole = replace(contact, other=chosen[0], normal=chosen[1], xy=middle)
+        slips = np.vstack([contact.slips, [np.nan, np.nan]])
+        whole = replace(contact, other=chosen[0], normal=chosen[1], xy=middle, slips=slips)
         of_other = [c for c in out if c.balls == (chosen[0],) and abs(c.time - contact.time) < same]
         gone = [contact, *(c for c in of_other if c.normal @ chosen[1] < -best / 2)]
         out = [*(c for c in out if not any(c is one for one in gone)), whole]

@@ -250,7 +250,9 @@ class ProblemStack:
         priors = [p.priors for p in problems]
         self.diameter = np.array([p.diameter for p in priors])
         self.distance_error = np.array([p.distance_share * p.diameter for p in priors])
-        self.turn = np.array([p.turn for p in priors])
+        self.turn = np.array([[p.find_turn(k) for k in self.slides] for p in problems])  # (m, slides) rad
+        known = [[p.priors.slides[p.stretches[k].ball - 1] for k in self.slides] for p in problems]
+        self.towards = np.array([[np.nan if one is None else one.towards for one in each] for each in known])
 
     def sum_squares(self, x: Array, which: Ints) -> tuple[Array, Array, Array]:
         """Sums of squared whitened residuals r (m,), of their derivatives J times r (m, n), and of J by J (m, n, n).
@@ -319,8 +321,8 @@ class ProblemStack:
     def _add_friction_direction(self, x: Array, which: Ints, k: int, known: Array, by: Array, row: int) -> None:
         """Add the residual and the derivatives of the direction of friction.
 
-        A ball that rolled or rested returns towards its velocity before the hit, apart from the spin that the friction
-        between the bodies adds. That of a ball that slid is all but unknown.
+        Unless it is known, a ball that rolled or rested returns towards its velocity before the hit, apart from the
+        spin that the friction between the bodies adds. That of a ball that slid is all but unknown.
         """
         one = self.one
         before = one.find_stretch(one.stretches[k].ball, after=False)
@@ -330,10 +332,12 @@ class ProblemStack:
         way = old - now
         size = np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9)
         share = (np.hypot(old[:, 0], old[:, 1]) + np.hypot(now[:, 0], now[:, 1])) / size
-        error = np.hypot(0.1 * share, np.pi / np.sqrt(3) if one.motions[before].pushed else self.turn[which])
-        off = x[:, at + 5] - np.arctan2(way[:, 1], way[:, 0])
+        towards, error = self.towards[which, row - 1], self.turn[which, row - 1]
+        guessed = np.isnan(towards)
+        error = np.where(guessed, np.hypot(0.1 * share, error), error)
+        off = x[:, at + 5] - np.where(guessed, np.arctan2(way[:, 1], way[:, 0]), towards)
         known[:, row] = ((off + np.pi) % (2 * np.pi) - np.pi) / error
-        turn = np.column_stack([-way[:, 1], way[:, 0]]) / (size**2 * error)[:, None]
+        turn = np.column_stack([-way[:, 1], way[:, 0]]) * (guessed / (size**2 * error))[:, None]
         by[:, row, at + 5], by[:, row, at + 2 : at + 4] = 1 / error, turn
         if moved:
             by[:, row, from_ + 2 : from_ + 4] = -turn

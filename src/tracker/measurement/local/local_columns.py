@@ -224,8 +224,10 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> Loca
     If each of two bodies strikes the other a few times, the ratio of their masses is fitted too, or tested if they are
     given. Recoil from either side distinguishes it from a bias. It counts if it makes the balances likelier by 3
     standard errors. Otherwise wrong masses would look like errors of velocities.
+
+    Contacts of a crowd that no free motion describes are left out: a third body may have hit one of both.
     """
-    usable = [row for row in rows if is_known(row, "r_local")]
+    usable = [row for row in rows if is_known(row, "r_local") and not _is_disturbed(row)]
     if len(usable) < min_hits:
         return None
     found = [json.loads(row["local"]) for row in usable]
@@ -253,6 +255,10 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> Loca
         half = float(np.clip(-best[1] / 2, -0.99, 0.99))  # the balance goes as tanh(log_ratio / 2)
         errors = replace(errors, log_ratio=2 * np.arctanh(half), log_ratio_std=float(doubt[1]) / (1 - half**2))
     return errors
+
+
+def _is_disturbed(row: Mapping[str, Any]) -> bool:
+    return bool(row.get("status") == CROWD and row.get("misfit_local", False))
 
 
 class _Balances(NamedTuple):

@@ -26,7 +26,7 @@ from tracker.measurement.local.local_fit import (
     shows_end,
     weigh_by_residuals,
 )
-from tracker.measurement.local.local_problem import LocalPriors, LocalSolution
+from tracker.measurement.local.local_problem import KnownSlide, LocalPriors, LocalSolution
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, cut_stretch
 from tracker.measurement.positions import measure_separation
 
@@ -75,13 +75,13 @@ def estimate_in_steps(
     contact: Contact,
     camera: Camera,
     masses: tuple[float, float],
-    slide: tuple[float, float] | None = None,
+    slides: tuple[KnownSlide | None, KnownSlide | None] = (None, None),
     striker: Sequence[MotionKind] = MAY_ROLL,
 ) -> FitInSteps[LocalEstimate | str]:
     """Estimate one collision from free motion near the contact, or give the reason why that is impossible.
 
     masses: of ball 1 and ball 2, in any unit.
-    slide: a prior of the duration of a slide, s, and the error of its logarithm, if something shows it.
+    slides: of ball 1 and ball 2 after the contact, if other positions show them.
     striker: motions that ball 2 may have on a plate before the contact.
     """
     rests = not contact.pair.target_moves
@@ -89,9 +89,8 @@ def estimate_in_steps(
     lasts = contact.end > contact.start
     settings = contact.pair.settings
     friction = {"friction": settings.local_friction, "friction_factor": settings.local_friction_factor}
-    known = LocalPriors(contact.pair.diameter, **friction, loss=settings.local_rolling_loss_m_s2)
-    if slide is not None:
-        known = replace(known, slide_s=slide[0], slide_factor=slide[1])
+    loss = settings.local_rolling_loss_m_s2
+    known = LocalPriors(contact.pair.diameter, **friction, loss=loss, slides=slides)
     on_plate = False in glides
     simple_after = (SLIDE, SLIDE_AND_ROLL) if on_plate else (SLIDE,)
     simple_before = (ROLL, *simple_after) if on_plate else (SLIDE,)

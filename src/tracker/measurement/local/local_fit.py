@@ -389,15 +389,33 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
     if len(seen):
         low, high = inside[max(seen[0] - 1, 0)], inside[min(seen[-1] + 1, len(inside) - 1)]
     ends = np.concatenate([[1e-3 * first, first / 3, first], np.linspace(low, high, durations + 1), [last, 2 * last]])
+    usual, factor = solution.problem.find_duration(k) if stretch.after else (1.0, 1.0)
     if stretch.after:
-        below = ndtr((np.log(np.append(ends[:-1], np.inf)) - np.log(priors.slide_s)) / priors.slide_factor)
+        below = ndtr((np.log(np.append(ends[:-1], np.inf)) - np.log(usual)) / factor)
         below[0] = 0.0
     else:
         ends = np.append(1e-5 * first, ends)  # the first cell is a slide up to the contact
         share = _find_share_of_slides(solution, k, last) if may_slide_on else 0.0
         below = np.append(0.0, share + (1 - share) * np.minimum(ends[1:] / last, 1.0))
     middles, widths = (ends[1:] + ends[:-1]) / 2, np.diff(ends) / np.sqrt(12)
+    if stretch.after and priors.slides[stretch.ball - 1] is not None:  # narrower than a cell
+        middles, widths = _narrow_cells(ends, middles, widths, usual, factor)
     enough = np.any(fits(np.concatenate([ends[:-1], middles, ends[1:]])).reshape(3, -1), axis=0)
     log_priors = np.log(np.maximum(np.diff(below), 1e-12))
     cells = zip(middles.tolist(), (widths / middles).tolist(), log_priors.tolist(), strict=True)
     return [SlideDuration(*cell) for cell, known in zip(cells, enough & (widths > 0), strict=True) if known]
+
+
+def _narrow_cells(ends: Array, middles: Array, widths: Array, usual: float, factor: float) -> tuple[Array, Array]:
+    """Means and standard deviations of a lognormal duration in each cell; those given, where it all but never lies.
+
+    usual: its median, s. factor: standard deviation of its logarithm. ends: of the cells.
+    """
+    least_share = 1e-6  # of the probability
+    at = np.log(ends / usual) / factor
+    share, first, second = (np.diff(ndtr(at - n * factor)) * np.exp((n * factor) ** 2 / 2) for n in range(3))
+    known = share > least_share
+    mean = usual * first / np.where(known, share, 1.0)
+    variance = usual**2 * second / np.where(known, share, 1.0) - mean**2
+    narrow = np.sqrt(np.maximum(variance, (0.01 * mean) ** 2))
+    return np.where(known, mean, middles), np.where(known, narrow, widths)

@@ -21,6 +21,16 @@ from tracker.measurement.local.stretches import MotionKind, Stretch
 
 
 @dataclass(frozen=True)
+class KnownSlide:
+    """What other positions show of the slide of a body after the contact."""
+
+    lasts: float  # s
+    factor: float  # error of its logarithm
+    towards: float  # rad, the direction in which friction pushes the body
+    turn: float  # rad, its error
+
+
+@dataclass(frozen=True)
 class LocalPriors:
     """Prior values of a fit, with their errors."""
 
@@ -33,6 +43,7 @@ class LocalPriors:
     turn: float = 0.5  # rad, of friction from the direction in which a ball that did not slide is slowed or sped up
     slide_s: float = 0.1  # duration of a slide
     slide_factor: float = 3.0  # error of its logarithm
+    slides: tuple[KnownSlide | None, KnownSlide | None] = (None, None)  # those of ball 1 and ball 2, if known better
     roll_s: float = 0.1  # how long a ball has rolled before the contact, after a slide
     roll_factor: float = 3.0  # error of its logarithm
     loss: float = 0.05  # of rolling, m/s^2; its error is as large
@@ -98,6 +109,19 @@ class LocalProblem:
         """
         return self.stretches[k].after and self.motions[k].ends
 
+    def find_duration(self, k: int) -> tuple[float, float]:
+        """Find the duration of the slide of a stretch after the contact that is known, s, and its log error."""
+        slide = self.priors.slides[self.stretches[k].ball - 1]
+        return (self.priors.slide_s, self.priors.slide_factor) if slide is None else (slide.lasts, slide.factor)
+
+    def find_turn(self, k: int) -> float:
+        """Find the error of the direction of friction after the contact, rad; all but unknown if the body slid."""
+        slide = self.priors.slides[self.stretches[k].ball - 1]
+        if slide is not None:
+            return slide.turn
+        before = self.motions[self.find_stretch(self.stretches[k].ball, after=False)]
+        return float(np.pi / np.sqrt(3)) if before.pushed else self.priors.turn
+
     def place(self, k: int) -> slice:
         """Find the position of a stretch's body in the vector of parameters."""
         return slice(1, 3) if self.stretches[k].ball == 1 else slice(3, 5)
@@ -131,8 +155,7 @@ class LocalProblem:
         p = self.priors
         rows: list[tuple[float, float, dict[int, float]]] = [(0.0, p.distance_share * p.diameter, {})]
         slides = [k for k in range(len(self.stretches)) if self.slides_first(k)]
-        before = [self.motions[self.find_stretch(self.stretches[k].ball, after=False)] for k in slides]
-        rows += [(0.0, np.pi / np.sqrt(3) if motion.pushed else p.turn, {}) for motion in before]
+        rows += [(0.0, self.find_turn(k), {}) for k in slides]
         rows += [(np.log(p.friction), p.friction_factor, {5: 1.0}), (p.loss, p.loss, {6: 1.0})]
         for k, motion in enumerate(self.motions):
             at, last = self.start[k], self.start[k + 1] - 1
@@ -142,7 +165,7 @@ class LocalProblem:
             elif motion.pushed:
                 rows.append((0.0, p.friction_scatter, {at + 4: 1.0}))
             if motion.ends:
-                usual = (p.slide_s, p.slide_factor) if self.stretches[k].after else (p.roll_s, p.roll_factor)
+                usual = self.find_duration(k) if self.stretches[k].after else (p.roll_s, p.roll_factor)
                 lasts, factor = self.slides.get(k, usual)
                 rows.append((np.log(lasts), factor, {at + 6: 1.0}))
             if motion.rolls:

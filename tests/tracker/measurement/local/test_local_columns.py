@@ -41,6 +41,16 @@ def test_the_balance_of_momentum_shows_errors_beyond_the_residuals():
     assert 0.55 < np.mean(np.abs(z) < 1) < 0.85
 
 
+def test_a_contact_that_a_third_ball_disturbed_says_nothing_about_the_errors_of_a_crowd():
+    """A wall between two frames takes three times the momentum that the contact has."""
+    rows = [row | {"status": "crowd", "misfit_local": False} for row in draw_rows(12, 0.003, 0.003, 0.0)]
+    raw = json.loads(rows[0]["local"])
+    raw["value"][AT["balance_n"]] = -3.0 * raw["v0"]
+    disturbed = rows[0] | {"local": json.dumps(raw), "misfit_local": True}
+    assert calibrate_rows([*rows, disturbed]) == calibrate_rows(rows)
+    assert calibrate_rows([*rows, disturbed | {"misfit_local": False}]) != calibrate_rows(rows)
+
+
 def draw_rows_of_small_claims(times, hits, seed=0):
     """Half of the hits are measured less well, by 0.002 and 0.02 m/s, and all have so many times that error."""
     drawn = (draw_rows(hits // 2, 1e-5, 1e-5, 0.0, seed=seed + k, residual=0.002 * k * times) for k in (1, 10))

@@ -9,6 +9,7 @@ from tracker.measurement.local import local_fit
 from tracker.measurement.local.descents import run_alone
 from tracker.measurement.local.local_fit import (
     SlideDuration,
+    _narrow_cells,
     choose_window,
     fit_motions,
     fit_single_stretch,
@@ -120,3 +121,15 @@ def test_a_roll_before_a_hit_may_have_begun_at_any_time(after, may_slide_on):
         assert shares[0] == pytest.approx(slides_on, abs=1e-3)
     density = [np.exp(c.log_prior) / (c.error * c.lasts * np.sqrt(12)) for c in cells[begins:] if c.lasts < 0.08]
     assert density == pytest.approx([(1 - slides_on * begins) / 0.08] * len(density), rel=0.05)
+
+
+def test_a_duration_that_is_known_lies_where_draws_of_it_lie_in_each_cell():
+    ends, usual, factor = np.array([1e-6, 1.2e-3, 3.7e-3, 6e-3, 0.1, 0.2]), 4e-3, 0.3
+    draws = usual * np.exp(factor * np.random.default_rng(1).standard_normal(400_000))
+    moments = _narrow_cells(ends, np.full(5, 7.0), np.full(5, 8.0), usual, factor)
+    cells = zip(ends[:-1], ends[1:], *moments, strict=True)
+    for low, high, mean, std in cells:
+        own = draws[(draws > low) & (draws < high)]
+        if len(own) > 100:
+            assert (mean, std) == pytest.approx((own.mean(), own.std()), rel=0.02)
+    assert moments[0][-1] == 7.0  # all but never there
