@@ -19,9 +19,6 @@ Part = slice | Index
 Counts = NDArray[np.unsignedinteger[Any]]  # uint8 or uint16
 
 CELLS_OF_TABLE = 1 << 16  # one for each 16-bit random number
-NO_NOISE = np.float32(
-    -1e9
-)  # counts, of the outer cells: their pixels become zeros, among which `_draw_tails` finds them
 MAX_TABLES = 96  # kept, .8 MB each: mains light at 250 frames/s shows 5 to 25 different plates
 
 
@@ -156,7 +153,6 @@ class _Background:
                 shift.flat[members] = means.flat[members] - mean
                 tables = (table / sensor.gain for table in tabulate_noise(mean, sensor.read_noise))
                 body, tails = (np.ascontiguousarray(table, dtype=np.float32) for table in tables)
-                body[[0, -1]] = NO_NOISE
                 self.groups.append((members, body, tails))
         self.level = ((shift + chip.offset) / sensor.gain + sensor.black_level).astype(np.float32)
 
@@ -171,31 +167,19 @@ class _Background:
             noise = np.empty(self.level.size, np.float32)
             for members, body, _ in self.groups:
                 noise[members] = body[cells[members]]
+        self._draw_tails(noise, cells, rng)
         kind = cv2.CV_8U if bits <= 8 else cv2.CV_16U
-        sums: Any = cv2.add(noise.reshape(shape), self.level, dtype=kind)  # rounds half to even and saturates
-        counts: Counts = np.asarray(sums if bits in (8, 16) else np.minimum(sums, (1 << bits) - 1))
-        self._draw_tails(counts.ravel(), cells, rng)
-        return counts
+        counts: Any = cv2.add(noise.reshape(shape), self.level, dtype=kind)  # rounds half to even and saturates
+        return np.asarray(counts if bits in (8, 16) else np.minimum(counts, (1 << bits) - 1))
 
-    def _draw_tails(self, counts: Counts, cells: NDArray[np.uint16], rng: np.random.Generator) -> None:
-        dark = _find_zeros(counts)
-        outer = dark[cells[dark] + np.uint16(1) <= 1]  # the first cell and, wrapped round, the last
+    def _draw_tails(self, noise: Float32, cells: NDArray[np.uint16], rng: np.random.Generator) -> None:
+        outer = np.flatnonzero(cells + np.uint16(1) <= 1)  # the first cell and, wrapped round, the last
         finer = rng.integers(0, CELLS_OF_TABLE, len(outer))
         side = (cells[outer] > 0).astype(int)
         owner = self.owner[outer]
         for k, (_, _, tails) in enumerate(self.groups):
             own = slice(None) if len(self.groups) == 1 else owner == k
-            noise = tails[side[own], finer[own]]
-            counts[outer[own]] = digitise(noise + self.level.ravel()[outer[own]], self.sensor.bits)
-
-
-def _find_zeros(counts: Counts) -> Index:
-    """Find the zeros among counts (n,), by words of eight: most hold none. np.flatnonzero takes three times as long."""
-    zero = np.zeros(-(-len(counts) // 8) * 8, np.bool_)
-    np.equal(counts, 0, out=zero[: len(counts)])
-    words = np.flatnonzero(zero.view(np.uint64) != 0)
-    at = (words[:, None] * 8 + np.arange(8)).ravel()
-    return np.asarray(at[zero[at]])
+            noise[outer[own]] = tails[side[own], finer[own]]
 
 
 def _look_up(table: Float32, cells: NDArray[np.uint16]) -> Float32:
