@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -130,6 +131,7 @@ def find(
         with show_stages(stages, 60 * minutes) as progress:
             contacts = read_contacts(measured) if stretches else None
             found = search(clips, given, progress, 60 * minutes, notes, stretches, contacts)
+            found = replace(found, measured=str(measured), base_model=str(model))
             progress("report")
             search_page.write(found, folder)
         document = json.loads((folder / "discrepancy.json").read_text())

@@ -107,7 +107,9 @@ def find(
     with applied_policy(policy or SearchPolicy()):
         clips, notes = read_collisions(source, Path(camera) if isinstance(camera, str) else camera, stretches)
         contacts = read_contacts(source) if stretches else None
-        return search(clips, given, progress, 60 * minutes, notes, stretches, contacts)
+        found = search(clips, given, progress, 60 * minutes, notes, stretches, contacts)
+    measured, base_model = (str(each) if isinstance(each, str | Path) else "" for each in (results, model))
+    return replace(found, measured=measured, base_model=base_model)
 
 
 def search(

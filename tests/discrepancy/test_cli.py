@@ -122,7 +122,7 @@ def test_add_tells_what_it_fitted(recorded, tmp_path, capsys, monkeypatch):
     assert said["chi2"]["before"] > 10 > said["chi2"]["after"]
     assert command("add", "velocity_restitution", *words) == 0
     told = capsys.readouterr().out
-    strength = r"velocity_restitution \(.*\), e \+0\.\d+ \+- 0\.\d+ \(\d+ sigma\)"
+    strength = r"velocity_restitution \(.*\): the restitution falls with the speed, e \+0\.\d+ \+- 0\.\d+ \(\d+ sigma\)"
     assert re.search(rf"{strength}; chi\^2 per degree of freedom falls from \d\S* to \d", told)
     assert "(6 of 6)" in told
 

@@ -1,5 +1,6 @@
 """The search from Python: the same as by the command, and bad input in one line."""
 
+import dataclasses
 import json
 import re
 import sys
@@ -17,7 +18,7 @@ import discrepancy
 import tracker
 from discrepancy import cli
 from discrepancy.data.reading import read_collisions
-from synthcam.model import Model, read_model
+from synthcam.model import Model
 from tracker.camera.views import find_first_difference
 
 RIVAL = ("restitution_speed",)  # the free law that describes what is hidden; others would only take time
@@ -70,7 +71,11 @@ def test_the_command_writes_the_same_document(recorded, found, tmp_path, monkeyp
     written = (tmp_path / "report/discrepancy.json").read_text()
     assert json.loads(written) == found.document()
     assert found.document()["clips"] == {"fitted": 5, "kept_out": 1, "left_out": list(found.left_out)}
-    found.report(tmp_path / "mine")
+    paths = {"measured": str(recorded / "results"), "base_model": str(ROOT / SCENE)}  # which the page names
+    dataclasses.replace(found, **paths).report(tmp_path / "mine")
+    assert (
+        f"Tracks: {paths['measured']}. Base model: {paths['base_model']}." in (tmp_path / "mine/index.html").read_text()
+    )
     for name in ("discrepancy.json", "model.yaml", "index.html"):
         assert undated(tmp_path / "mine" / name) == undated(tmp_path / "report" / name), name
 
@@ -155,12 +160,15 @@ def test_what_are_no_results_is_one_line(recorded, results):
         assert "\n" not in str(error.value)
 
 
-def test_a_dict_is_a_model_too(results, monkeypatch):
-    """No search is made: what it is asked is enough."""
+def test_a_dict_is_a_model_too(results, found, monkeypatch):
+    """No search is made: what it is asked is enough. A result names only the models that came from files."""
     asked = []
-    monkeypatch.setattr("discrepancy.search.search", lambda clips, model, *rest: asked.append((len(clips), model)))
-    discrepancy.find(results, {"model": {"restitution": 0.8}, "effects": {"plate_tilt": {"x": 1e-3}}})
-    discrepancy.find(results, read_model(ROOT / SCENE))
+    monkeypatch.setattr(
+        "discrepancy.search.search", lambda clips, model, *rest: asked.append((len(clips), model)) or found
+    )
+    settings = {"model": {"restitution": 0.8}, "effects": {"plate_tilt": {"x": 1e-3}}}
+    named = [discrepancy.find(results, model).base_model for model in (settings, str(ROOT / SCENE))]
+    assert named == ["", str(ROOT / SCENE)]
     assert [count for count, _ in asked] == [6, 6]
     assert (asked[0][1].restitution, asked[0][1].effects[0].x, asked[1][1]) == (0.8, 1e-3, Model())
 
