@@ -38,6 +38,7 @@ from tracker.detection.diagnose import (
     MIN_DETECTIONS,
     LooseEnds,
     count_loose_ends,
+    describe_other_specks,
     explain_no_discs,
     explain_no_glints,
     follow_bodies,
@@ -223,7 +224,8 @@ def track(
         The function takes a grey frame and returns positions (n, 2), x and y in px. A third column may hold standard
         errors. Default: what the film asks for.
     channel : {"grey", "red", "green", "blue", "red-green", "red-blue", "green-blue", "colour"} or "#rrggbb", optional
-        Of a film in colour; default: grey, unless another shows its balls better.
+        Of a film in colour; default: grey, unless another shows its balls better. "dark", of any film, is white less
+        grey: dark specks are followed as bright ones.
     colour : str
         Of the balls, as "orange" or "#ff8000"; in place of `channel`.
     number : int, optional
@@ -552,6 +554,9 @@ def track_clip(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracke
         why = explain_no_glints(clip.frames, view, found.glints)
     notes = make_notes(NoteKind.DETECTOR, found.notes, clip.number)
     notes += make_notes(NoteKind.DETECTOR, warn_of_missed_examples(tracks, clip.balls, view), clip.number)
+    if view.takes is None:
+        specks = describe_other_specks(clip.frames, view.plate, clip.channel)
+        notes += make_notes(NoteKind.DETECTOR, specks, clip.number)
     loose = count_loose_ends(tracks, view.camera.size, spans)
     moving = warn_of_moving_camera(clip.frames) if loose.are_most else ()
     notes += make_notes(NoteKind.LINKING, moving, clip.number)

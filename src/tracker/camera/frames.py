@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from synthcam_shared.arrays import Array, Flags, Ints
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import CHANNELS, LONGEST_SIDE, MOST_PIXELS, PLANES
+from tracker.camera.camera_keys import CHANNELS, DARK, LONGEST_SIDE, MOST_PIXELS, PLANES
 from tracker.camera.colour_planes import is_plane, read_plane
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
@@ -133,13 +133,24 @@ class Frames(Sequence[Any]):
         return out
 
     def select_channel(self, name: str) -> Frames:
-        """The frames in "red", "green", "blue" or a plane of `colour_planes`. Raises InputError for a film in grey."""
-        if name not in CHANNELS and not is_plane(name):
-            known = ", ".join((*CHANNELS, *PLANES))
+        """The frames in "dark", "red", "green", "blue" or a plane of `colour_planes`.
+
+        "dark" is white less grey. Raises InputError for any other of a film in grey.
+        """
+        if name not in (*CHANNELS, DARK) and not is_plane(name):
+            known = ", ".join((*CHANNELS, DARK, *PLANES))
             raise InputError(f"--channel: expected one of {known} or #rrggbb, not {name!r}")
         colours = self.colours
         if name == GREY:
             return self
+        if name == DARK:
+            some = [self[k] for k in spread_frames(self)] if self.dtype != np.uint8 else ()
+            white: Any = np.full(self.shape[1:], self.white(some), self.dtype)
+
+            def invert(k: int) -> Any:
+                return cv2.subtract(white, np.asarray(self[k]))
+
+            return self.with_fetch(invert)
         if colours is None:
             raise InputError(f"--channel: the film is in grey, expected no {name!r}")
         convert: Callable[[Any], Any] | None = None

@@ -19,6 +19,7 @@ from synthcam_shared.arrays import Flags
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
 from tracker.camera.camera import Camera
+from tracker.camera.camera_keys import DARK
 from tracker.camera.fields import separate_or_note
 from tracker.camera.film_in_memory import ARRAYS, read_array_file
 from tracker.camera.film_options import DEFAULT_OPTIONS, BallExample, FilmOptions, parse_frames, read_search_area
@@ -57,10 +58,10 @@ class Recording:
                 self.progress(done, len(self.frames))
 
     def select_channel(self, name: str) -> Recording:
-        """The same recording in one colour of a film; "grey" is what it is."""
+        """The same recording in one colour of a film; "grey" is what it is, and "dark" is made of grey."""
         if name == GREY:
             return self
-        notes = tuple(note for note in self.notes if note.kind is not NoteKind.GREY)
+        notes = tuple(note for note in self.notes if name == DARK or note.kind is not NoteKind.GREY)
         return replace(self, frames=self.frames.select_channel(name), notes=notes, channel=name)
 
 

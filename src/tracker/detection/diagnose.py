@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.arrays import Flags
+from tracker.camera.camera_keys import DARK
 from tracker.camera.film_options import BallExample
-from tracker.camera.frames import spread_frames
-from tracker.detection.candidates import CandidateSearch
+from tracker.camera.frames import GREY, pick_spread, spread_frames
+from tracker.detection.candidates import CandidateSearch, EmptyPlate
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
 from tracker.detection.link import Tracks
@@ -131,6 +132,42 @@ def warn_of_moving_camera(frames: Sequence[Any]) -> tuple[str, ...]:
     min_motion_px = 3.0
     shift = measure_camera_motion([np.asarray(frames[k]) for k in spread_frames(frames, 25)])
     return (f"the camera moves, by up to {shift:.0f} px: {STILL_CAMERA}",) if shift >= min_motion_px else ()
+
+
+def describe_other_specks(frames: Sequence[Any], plate: EmptyPlate, channel: str) -> tuple[str, ...]:
+    """Say that a film shows as many dark specks as bright ones, which a detector of glints leaves out.
+
+    A speck has the area of the bright ones, within a factor of 4. So the dark side of a steel ball is too large, and
+    so is its shadow.
+    """
+    fewest, sample_count = 10, 5  # specks in a frame; frames that are looked at
+    sizes, least = 4.0, max(8.0 * plate.noise, 8.0)  # ratio of areas; counts
+    if channel not in (GREY, DARK):
+        return ()
+    counts = []
+    for k in pick_spread(range(len(frames)), sample_count):
+        picture, bright, dark = np.asarray(frames[k]), np.empty(0), np.empty(0)
+        if np.count_nonzero(cv2.subtract(plate.level, picture) > least) >= 2 * fewest:
+            bright, dark = (_measure_areas(cv2.subtract(*pair) > least) for pair in _both_ways(picture, plate.level))
+        usual = float(np.median(bright)) if len(bright) else 0.0
+        counts.append((len(bright), int(((dark > usual / sizes) & (dark < sizes * usual)).sum())))
+    own_count, other_count = np.median(counts, axis=0)
+    if other_count < max(fewest, own_count):
+        return ()
+    own, other, how = ("bright", "dark", f"--channel {DARK} follows these")
+    if channel == DARK:
+        own, other, how = other, own, f"without --channel {DARK} these are followed"
+    return (f"specks: {own} ones are followed, and some {other_count:.0f} {other} ones in a frame are left out; {how}",)
+
+
+def _both_ways(one: NDArray[Any], other: NDArray[Any]) -> tuple[tuple[NDArray[Any], NDArray[Any]], ...]:
+    return (one, other), (other, one)
+
+
+def _measure_areas(spots: NDArray[Any]) -> NDArray[Any]:
+    """Areas (n,), px^2, of the connected regions of more than one pixel."""
+    areas = cv2.connectedComponentsWithStats(np.asarray(spots).view(np.uint8))[2][1:, cv2.CC_STAT_AREA]
+    return np.asarray(areas[areas > 1])
 
 
 def warn_of_missed_examples(tracks: Tracks, examples: Sequence[BallExample], view: View) -> tuple[str, ...]:

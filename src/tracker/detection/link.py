@@ -186,7 +186,7 @@ def measure_acceleration(glints: Glints, position_error: float) -> float:
 
     Shaken, driven or magnetic bodies turn between hits, and an encoder moves positions by more than their errors. The
     change is that of steps which nobody can mistake: both are to the nearest detection, and the next one is much
-    farther. What errors of positions explain is taken out.
+    farther. The part that errors of positions explain is subtracted.
     """
     most_frames, least_steps, least_bodies = 40, 30, 3
     clear_share = 0.3  # of the distance to the second nearest detection, which such a step has at most

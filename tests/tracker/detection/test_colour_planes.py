@@ -79,7 +79,7 @@ def test_balls_that_touch_all_the_time_are_each_found(bend, colours, ground):
 
 
 def test_a_wrong_channel_is_one_line():
-    with pytest.raises(InputError, match=r"expected one of grey, red, green, blue, red-green, .*, colour or #rrggbb"):
+    with pytest.raises(InputError, match=r"expected one of grey, red, green, blue, dark, red-green, .*or #rrggbb"):
         wrap_frames(np.zeros((3, 20, 20, 3), np.uint8)).select_channel("#12345")
     with pytest.raises(InputError, match="the film is in grey, expected no 'red-blue'"):
         wrap_frames(np.zeros((3, 20, 20), np.uint8)).select_channel("red-blue")

@@ -5,7 +5,14 @@ import numpy as np
 import pytest
 
 import tracker
-from tracker.detection.diagnose import LooseEnds, count_loose_ends, measure_camera_motion, warn_of_moving_camera
+from tracker.detection.candidates import estimate_empty_plate
+from tracker.detection.diagnose import (
+    LooseEnds,
+    count_loose_ends,
+    describe_other_specks,
+    measure_camera_motion,
+    warn_of_moving_camera,
+)
 from tracker.detection.link import Tracks
 
 SIZE, LAST = (400, 300), 99
@@ -100,3 +107,41 @@ def test_the_motion_of_a_camera_is_measured_past_a_body_that_crosses(step, turn,
 def test_a_body_on_a_bare_ground_is_no_moving_camera():
     pictures = [cv2.circle(np.full((240, 320), 90, np.uint8), (40 + 20 * k, 120), 30, 200, -1) for k in range(6)]
     assert measure_camera_motion(pictures) == 0
+
+
+def speckled(bright, dark, dark_sigma=1.2):
+    """Twelve frames of specks that drift on grey ground: Gaussians of 1.2 px, the dark ones as wide as it is said."""
+    rng = np.random.default_rng(3)
+    start, way = rng.uniform(15, 185, (bright + dark, 2)), rng.uniform(-3, 3, (bright + dark, 2))
+    y, x = np.mgrid[:200, :200]
+    film = []
+    for k in range(12):
+        picture = 120 + 2 * rng.standard_normal((200, 200))
+        for n, (column, row) in enumerate(start + k * way):
+            size, height = (1.2, 90) if n < bright else (dark_sigma, -90)
+            picture += height * np.exp(-((x - column) ** 2 + (y - row) ** 2) / (2 * size**2))
+        film.append(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
+    return film
+
+
+@pytest.mark.parametrize(
+    ("bright", "dark", "dark_sigma", "channel", "said"),
+    [
+        (15, 30, 1.2, "grey", "specks: bright ones are followed, and some"),
+        (15, 30, 1.2, "dark", "specks: dark ones are followed, and some"),
+        (15, 5, 1.2, "grey", ""),
+        (15, 15, 5.0, "grey", ""),  # the dark sides of balls with a glint
+        (15, 30, 1.2, "red-green", ""),
+    ],
+)
+def test_a_film_of_bright_and_dark_specks_names_those_left_out(bright, dark, dark_sigma, channel, said):
+    film = speckled(bright, dark, dark_sigma)
+    assert "".join(describe_other_specks(film, estimate_empty_plate(film), channel))[: len(said) or None] == said
+
+
+@pytest.mark.parametrize(("channel", "count"), [("grey", 15), ("dark", 30)])
+def test_dark_specks_are_followed_in_the_channel_dark(channel, count):
+    """White less grey makes the dark ones bright, also of a film in grey."""
+    result = tracker.track(np.array(speckled(15, 30)), channel=channel, detector="linear_fit")
+    lengths = result.tracks.groupby("particle").size()
+    assert 0.8 * count <= (lengths >= 8).sum() <= 1.1 * count
