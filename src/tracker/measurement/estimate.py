@@ -530,7 +530,8 @@ def _lone_ball(balls: list[BallTrack], camera: Camera, settings: FitSettings) ->
         name, value, std = PARAMETERS[i], float(best.parameters[i]), float(np.sqrt(best.cov[i, i]))
         within = std <= _LARGEST_ERRORS.get(name, np.inf)
         out[name], out[f"{name}_std"] = (value, std) if within else (np.nan, np.nan)
-    out["cov"] = _covariances_to_json({"rolling": best.cov[-3:, -3:]}, PARAMETERS[-3:], common)
+    blocks = {"rolling": best.cov[-3:, -3:], "rolling_loss": np.array([best.loss])}
+    out["cov"] = _covariances_to_json(blocks, PARAMETERS[-3:], common)
     return out
 
 

@@ -32,6 +32,16 @@ class LoneBallFit:
         return bool(self.chi2 <= self.dof + sigma * np.sqrt(2 * self.dof))
 
     @property
+    def loss(self) -> tuple[float, float]:
+        """The rolling loss when the ball is first seen and its standard error, m/s^2.
+
+        It may be well known where drag and decel, its two parts, are not.
+        """
+        _, _, _, v0, drag, decel = self.parameters.tolist()
+        slope = np.array([drag, v0, 1.0])
+        return drag * v0 + decel, float(np.sqrt(slope @ self.cov[-3:, -3:] @ slope))
+
+    @property
     def moves(self) -> bool:
         """True if the ball surely moves, by 5 sigma of its speed, and not only its positions scatter."""
         return bool(self.parameters[3] > 5.0 * np.sqrt(self.cov[3, 3]))

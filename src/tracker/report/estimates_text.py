@@ -95,16 +95,14 @@ def describe_velocities(row: Mapping[str, Any]) -> str:
 def describe_rolling(row: Mapping[str, Any]) -> str:
     """Say in the text which rolling loss a ball by itself has where it is first seen; "" without one.
 
-    The two parts of the loss, C_roll and D_roll, are hardly told from one another where the speed changes little.
+    The two parts of the loss, C_roll and D_roll, are hardly told from one another where the speed changes little. Their
+    sum is known better, and is given even where both parts are refused.
     """
-    cov = json.loads(row.get("cov") or "{}").get("rolling")
-    if row["status"] != "no_collision" or cov is None:
+    found = json.loads(row.get("cov") or "{}").get("rolling_loss")
+    if row["status"] != "no_collision" or found is None:
         return ""
-    v0, drag, decel = (float(row[name]) for name in OF_ONE_BALL)
-    slope = np.array([drag, v0, 1.0])
-    loss = format_with_error(
-        1e2 * (drag * v0 + decel), 1e2 * float(np.sqrt(slope @ np.array(cov, dtype=float) @ slope))
-    )
+    ((value, std),) = np.array(found, dtype=float)
+    loss = format_with_error(1e2 * value, 1e2 * std) if 0 < std < abs(value) else NOT_KNOWN
     return "" if loss == NOT_KNOWN else f"The rolling loss at that speed is {loss} cm/s²"
 
 

@@ -111,7 +111,7 @@ def describe(folder, status, **values):
 
 
 def test_a_ball_by_itself_has_its_speed_and_its_loss(tmp_path):
-    cov = json.dumps({"rolling": np.diag([1e-4, 0, 9e-4]).tolist()})
+    cov = '{"rolling_loss": [[0.2, 0.03]]}'
     about = describe(tmp_path, "no_collision", v0=0.5, v0_std=0.01, decel=0.2, decel_std=0.03, drag=0.0, cov=cov)
     assert [row[:2] for row in about["rows"]] == [["v0", "50.0(10)"], ["Croll", "0"], ["Droll", "20.0(30)"]]
     assert about["why"] == "The rolling loss at that speed is 20.0(30) cm/s²"

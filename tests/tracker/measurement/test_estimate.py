@@ -186,11 +186,12 @@ def test_without_a_collision_the_rolling_loss_is_measured(tmp_path):
     assert row["status"] == "no_collision"
     assert np.isnan(row["r"])
     cov = np.array(json.loads(row["cov"])["rolling"])
-    # drag and decel are separated only by how the loss changes; their sum at the mean speed is known well
-    v = 0.24
-    loss = row["drag"] * v + row["decel"] if np.isfinite(row["drag"]) else np.nan
-    std = np.sqrt(np.array([v, 1]) @ cov[1:, 1:] @ np.array([v, 1]))
-    assert abs(loss - (0.135 * v + 0.0103)) < 4 * std + 1e-4
+    # drag and decel are separated only by how the loss changes; their sum is known well
+    ((loss, std),) = json.loads(row["cov"])["rolling_loss"]
+    assert abs(loss - (0.135 * row["v0"] + 0.0103)) < 4 * std
+    assert std < 0.2 * loss
+    slope = np.array([row["drag"], row["v0"], 1.0])
+    assert std == pytest.approx(np.sqrt(slope @ cov @ slope), rel=1e-2)
 
 
 def test_a_faster_ball_that_meets_a_wall_does_not_hide_the_one_that_rolls(tmp_path):

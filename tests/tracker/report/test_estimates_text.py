@@ -1,6 +1,5 @@
 """The answer in words and numbers: units, errors in brackets, and a line where nothing was measured."""
 
-import json
 import math
 
 import numpy as np
@@ -13,6 +12,7 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.estimates_text import (
     METHODS,
     OF_ONE_BALL,
+    describe_rolling,
     describe_status,
     explain_dashes,
     format_for_terminal,
@@ -85,14 +85,16 @@ def test_what_was_not_measured_is_said():
     assert "Their tracks reject" in said
     alone = "\n".join(format_for_terminal(pd.DataFrame([row(ONE_BALL, frame_last=-1)])))
     assert alone.startswith("clip 0: One ball is followed, and its track is written. There is no collision to measure")
-    cov = json.dumps({"rolling": np.diag([1e-4, 4e-4, 9e-4]).tolist()})
-    speed = {"v0": 0.5, "v0_std": 0.01, "drag": 0.2, "decel": 0.1, "cov": cov}
+    speed = {"v0": 0.5, "v0_std": 0.01, "drag": 0.2, "decel": 0.1, "cov": '{"rolling_loss": [[0.2, 0.0317]]}'}
     rolling = "\n".join(format_for_terminal(pd.DataFrame([row("no_collision", **speed)])))
     assert "No two balls touch. One ball rolls by itself." in rolling
     assert "50.0(10)" in rolling
     assert "speed of the ball where it is first seen" in rolling
-    # 0.2 x 0.5 + 0.1 m/s^2; its error is that of 0.2 x 0.01, 0.5 x 0.02 and 0.03 m/s^2
     assert "The rolling loss at that speed is 20.0(32) cm/s²." in rolling
+    refused = speed | {"drag": np.nan, "decel": np.nan}
+    assert describe_rolling(row("no_collision", **refused)) == "The rolling loss at that speed is 20.0(32) cm/s²"
+    for unknown in ("[[null,null]]", "[[0.2,null]]", "[[0.2,0.3]]"):
+        assert describe_rolling(row("no_collision", **speed | {"cov": f'{{"rolling_loss":{unknown}}}'})) == ""
     nothing = row("no_collision", **{f"{name}{end}": np.nan for name in OF_ONE_BALL for end in ("", "_std")})
     assert describe_status(nothing) == "No two balls touch"
     assert "rolling loss" in rolling
