@@ -130,7 +130,7 @@ def speckled(bright, dark, dark_sigma=1.2):
         (15, 30, 1.2, "grey", "specks: bright ones are followed, and some"),
         (15, 30, 1.2, "dark", "specks: dark ones are followed, and some"),
         (15, 5, 1.2, "grey", ""),
-        (8, 20, 4.0, "grey", ""),  # the dark sides of balls with a glint
+        (5, 20, 3.0, "grey", ""),  # the dark sides of balls with a glint
         (15, 30, 1.2, "red-green", ""),
     ],
 )
