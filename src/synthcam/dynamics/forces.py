@@ -1,4 +1,4 @@
-"""The forces on balls that slide, roll or fly, many at once, and the slip at which a slide with a drilling spin ends.
+"""Decide whether balls rest, roll, slide or fly, and compute the forces on them, many at once.
 
 With a drilling spin w, friction fades with the slip u as F u/(u + c), with c proportional to |w|. A push p then keeps
 up a slip of u = c p/(F - p), micrometres per second. It lasts until the spin is gone, perhaps a second later. In every

@@ -1,4 +1,4 @@
-"""`Frames`: the grey pictures of a film, or one plane of its colours, each read when indexed; frames spread over it."""
+"""`Frames`: the grey pictures of a film, or a plane of its colours, read when indexed; counts made linear in light."""
 
 from __future__ import annotations
 
