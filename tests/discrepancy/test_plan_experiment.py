@@ -13,6 +13,7 @@ from discrepancy_plans import few, scene
 import discrepancy
 from discrepancy import cli
 from discrepancy.planning.changes import CHANGES
+from discrepancy.planning.limits import count_draws
 from synthcam.scene.scene import Scene
 
 FILE = "launch: {v0: {uniform: [0.1, 0.6]}, b: {uniform: [-0.6, 0.6]}, heading: {uniform: [0, 6.2832]}}\n"
@@ -62,7 +63,7 @@ def test_every_change_is_ranked(planned):
 
 
 def test_the_number_of_collisions_brings_the_limit_down_to_what_is_wanted(planned, monkeypatch):
-    few(monkeypatch)
+    few(monkeypatch, count_draws)
     (wanted,) = planned.wanted
     there = discrepancy.plan(scene(), ["rolling_quadratic"], wanted.clips, changes=False).table
     assert there["limit"][0] == pytest.approx(0.01, rel=0.05)

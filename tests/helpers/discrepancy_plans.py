@@ -21,7 +21,11 @@ def small(noise_px=None):
     return design_experiment(scene(), 8, noise_px).experiment
 
 
-def few(patch):
-    """A library of two effects; what scenes and models may hold is kept, and must first be made of the whole one."""
+def few(patch, count_draws=lambda _: 2):
+    """A library of two effects, and medians over two draws of an experiment, where the program makes up to five.
+
+    What scenes and models may hold is kept, and must first be made of the whole library.
+    """
     scene_file(), model_file()
+    patch.setattr("discrepancy.plan_experiment.count_draws", count_draws)
     only(patch)
