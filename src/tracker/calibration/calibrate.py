@@ -1,4 +1,4 @@
-"""A camera file from a video of balls of known diameter: scale, glint width and noise."""
+"""A camera file from a video of balls of known diameter: surveys their size, and finds scale, glint width and noise."""
 
 import functools
 import math
