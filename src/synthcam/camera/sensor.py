@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, ndtr
 
 from synthcam.camera.exposure import Picture
+from synthcam.camera.frame_seeds import make_frame_seed
 from synthcam_shared.arrays import Array, Float32, Index
 
 Part = slice | Index
 Counts = NDArray[np.unsignedinteger[Any]]  # uint8 or uint16
 
 CELLS_OF_TABLE = 1 << 16  # one for each 16-bit random number
+OUTERMOST = 1e9  # counts: saturates every pixel, and as an integer fits into 32 bits
 MAX_TABLES = 96  # kept, .8 MB each: mains light at 250 frames/s shows 5 to 25 different plates
 
 
@@ -70,7 +72,8 @@ class SensorChip:
         The noise depends on (root_seed, clip, frame) only. A bare array of picture values is exposed pixel by pixel,
         which is slower.
         """
-        rng = _generator(self.root_seed, (clip, 1, frame))
+        seed: Any = make_frame_seed(self.root_seed, (clip, 1), frame)  # numpy's types know SeedSequence alone
+        rng = np.random.Generator(np.random.SFC64(seed))
         counts: Counts
         if not isinstance(picture, Picture):
             return self._exact(np.asarray(picture), slice(None), slice(None), rng)
@@ -92,7 +95,9 @@ class SensorChip:
         """Compute the mean number of electrons in the pixels of a part of the picture."""
         sensor = self.sensor
         signal = picture * (sensor.glint_peak * sensor.gain)
-        mean = np.maximum(signal * self.response[rows, columns], 0) + sensor.dark * self.exposure
+        mean = np.asarray(signal * self.response[rows, columns])
+        np.maximum(mean, 0, out=mean)
+        mean += sensor.dark * self.exposure
         return mean + self.leak[rows, columns] * self.exposure if len(self.hot) else mean
 
     def _tables(self, plate: Float32) -> "_Background":
@@ -109,13 +114,20 @@ class SensorChip:
     def _exact(self, picture: NDArray[Any], rows: Part, columns: Part, rng: np.random.Generator) -> Counts:
         sensor = self.sensor
         charge = rng.poisson(self.electrons(picture, rows, columns)) + self.offset[rows, columns]
-        charge = np.minimum(charge, sensor.full_well) + sensor.read_noise * rng.standard_normal(charge.shape)
-        return digitise(charge / sensor.gain + sensor.black_level, sensor.bits)
+        np.minimum(charge, sensor.full_well, out=charge)
+        noise = rng.standard_normal(charge.shape)
+        noise *= sensor.read_noise
+        charge += noise
+        charge /= sensor.gain
+        charge += sensor.black_level
+        return digitise(charge, sensor.bits)
 
 
 def digitise(values: NDArray[Any], bits: int) -> Counts:
     """Digitise what a pixel holds: round to counts (half to even), and clip to the converter's range."""
-    counts = np.clip(np.rint(values), 0, (1 << bits) - 1)
+    counts = np.rint(values)
+    np.maximum(counts, 0, out=counts)
+    np.minimum(counts, (1 << bits) - 1, out=counts)
     return np.asarray(counts, dtype=np.uint8 if bits <= 8 else np.uint16)
 
 
@@ -123,8 +135,10 @@ class _Background:
     """Noise of the plate by tables of the inverse distribution function.
 
     A 16-bit uniform number selects one of 65536 equally likely cells of (shot + read noise), each represented by its
-    median. The two outermost cells are divided into 65536 again, so that the tails reach 6.2 sigma. Only the fixed
-    pattern is approximated: pixels whose variances differ by less than `uneven` share one of at most 64 tables.
+    median. The two outermost cells are divided into 65536 again, so that the tails reach 6.2 sigma. The table holds
+    `OUTERMOST` for them, so that their pixels are among the saturated ones, of which a dark plate has no others. Only
+    the fixed pattern is approximated: pixels whose variances differ by less than `uneven` share one of at most 64
+    tables.
     """
 
     def __init__(self, chip: SensorChip, plate: Float32, uneven: float = 0.01) -> None:
@@ -138,11 +152,14 @@ class _Background:
         if self.deep:
             return
         variance = means + sensor.read_noise**2
-        base, ratio = variance.min(), variance.max() / max(variance.min(), 1e-9)
+        base = max(variance.min(), 1e-9)  # a pixel without light and read noise has no variance
+        ratio = variance.max() / base
         levels = min(int(np.ceil(np.log(ratio) / uneven)) if ratio > 1 else 1, 64)
         level = np.zeros(means.shape, int)
         if levels > 1:
-            level = np.minimum(levels * np.log(variance / base) / np.log(ratio), levels - 1).astype(int)
+            level = np.minimum(levels * np.log(np.maximum(variance, base) / base) / np.log(ratio), levels - 1).astype(
+                int
+            )
         shift = np.empty(means.shape)
         self.owner = np.zeros(means.size, np.int8)  # the group of each pixel
         for k in range(levels):
@@ -153,6 +170,7 @@ class _Background:
                 shift.flat[members] = means.flat[members] - mean
                 tables = (table / sensor.gain for table in tabulate_noise(mean, sensor.read_noise))
                 body, tails = (np.ascontiguousarray(table, dtype=np.float32) for table in tables)
+                body[[0, -1]] = OUTERMOST
                 self.groups.append((members, body, tails))
         self.level = ((shift + chip.offset) / sensor.gain + sensor.black_level).astype(np.float32)
 
@@ -167,19 +185,27 @@ class _Background:
             noise = np.empty(self.level.size, np.float32)
             for members, body, _ in self.groups:
                 noise[members] = body[cells[members]]
-        self._draw_tails(noise, cells, rng)
-        kind = cv2.CV_8U if bits <= 8 else cv2.CV_16U
-        counts: Any = cv2.add(noise.reshape(shape), self.level, dtype=kind)  # rounds half to even and saturates
-        return np.asarray(counts if bits in (8, 16) else np.minimum(counts, (1 << bits) - 1))
+        kind, top = (cv2.CV_8U, 0xFF) if bits <= 8 else (cv2.CV_16U, 0xFFFF)
+        added: Any = cv2.add(noise.reshape(shape), self.level, dtype=kind)  # rounds half to even and saturates
+        counts = np.asarray(added)
+        saturated = np.flatnonzero(counts == top)
+        if bits not in (8, 16):
+            np.minimum(counts, (1 << bits) - 1, out=counts)
+        outer = saturated[cells[saturated] + np.uint16(1) <= 1]  # the first cell and, wrapped round, the last
+        counts.flat[outer] = digitise(self._draw_tails(outer, cells[outer], rng) + self.level.flat[outer], bits)
+        return counts
 
-    def _draw_tails(self, noise: Float32, cells: NDArray[np.uint16], rng: np.random.Generator) -> None:
-        outer = np.flatnonzero(cells + np.uint16(1) <= 1)  # the first cell and, wrapped round, the last
+    def _draw_tails(self, outer: Index, cells: NDArray[np.uint16], rng: np.random.Generator) -> Float32:
+        """Draw the noise of the pixels whose cells are outermost. outer: their numbers."""
         finer = rng.integers(0, CELLS_OF_TABLE, len(outer))
-        side = (cells[outer] > 0).astype(int)
-        owner = self.owner[outer]
+        side = (cells > 0).astype(int)
+        if len(self.groups) == 1:
+            return np.asarray(self.groups[0][2][side, finer])
+        noise, owner = np.empty(len(outer), np.float32), self.owner[outer]
         for k, (_, _, tails) in enumerate(self.groups):
-            own = slice(None) if len(self.groups) == 1 else owner == k
-            noise[outer[own]] = tails[side[own], finer[own]]
+            own = owner == k
+            noise[own] = tails[side[own], finer[own]]
+        return noise
 
 
 def _look_up(table: Float32, cells: NDArray[np.uint16]) -> Float32:

@@ -212,9 +212,17 @@ def test_plates_in_changing_light_keep_their_tables(monkeypatch):
     assert 1 < sum(len(b.groups) for b in chip._backgrounds) <= 4
 
 
-@pytest.mark.parametrize(("bits", "black"), [(8, 8.0), (8, 0.0), (10, 8.0)])
+def test_without_read_noise_a_black_part_of_the_plate_shows_its_offset():
+    sensor = Sensor(read_noise=0.0)
+    chip, plate = SensorChip(sensor, SIZE, 5e-4, root_seed=16), np.zeros(SIZE[::-1], np.float32)
+    plate[:, 100:] = np.linspace(0, 0.1, SIZE[0] - 100)
+    counts = chip.expose(Picture(plate, (), ()), 0, 0)
+    np.testing.assert_array_equal(counts[:, :100], np.rint(8 + chip.offset[:, :100] / 20))
+
+
+@pytest.mark.parametrize(("bits", "black"), [(8, 8.0), (8, 0.0), (8, 252.0), (10, 8.0), (10, 1021.0)])
 def test_each_random_number_selects_its_cell_and_the_outer_ones_a_second_number(bits, black):
-    """Without light: the table's counts, looked up one after the other, also among many zeros."""
+    """Without light: the table's counts, looked up one after the other, also among many zeros or full counts."""
     size, gain, read = (257, 131), 20.0 / (1 + 3 * (bits > 8)), 20.0
     sensor = Sensor(bits=bits, gain=gain, black_level=black, prnu=0.0, read_noise=read)
     chip, plate = SensorChip(sensor, size, 5e-4, root_seed=15), np.zeros(size[::-1], np.float32)
