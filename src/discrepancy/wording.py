@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Sequence
 
@@ -156,7 +157,16 @@ def describe_claim(claim: EffectClaim, base: Model) -> str:
         return f"{', '.join(parts)}{joint}{rivals and ','}{rivals}"
     parts = [_describe_strength(claim, name) for name in claim.values]
     parts += [_describe_shape(claim, name) for name in claim.shapes]
-    return f"{describe_effect(claim.effect)}{rivals}: {', '.join(parts)}{joint}"
+    return f"{describe_effect(claim.effect)}{rivals}: {_join(parts)}{joint}"
+
+
+def _join(parts: Sequence[str]) -> str:
+    """Join parts of a sentence; one that begins with the same words as the part before leaves them out."""
+    words = [re.split(r"[-+\d]", part, maxsplit=1)[0] for part in parts]
+    text = parts[0]
+    for before, now, part in zip(words, words[1:], parts[1:], strict=False):
+        text += f" and {part.removeprefix(now)}" if now and now == before else f", {part}"
+    return text
 
 
 def _describe_strength(claim: EffectClaim, name: str) -> str:

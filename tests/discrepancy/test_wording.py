@@ -48,6 +48,13 @@ RECOIL = ContactClaim(
             "(1429 standard errors from zero), y +0.3 +- 0.7 urad (not significant); jointly 9 sigma",
         ),
         (
+            "plate_tilt",
+            {"x": 1.001e-3, "y": -5.0e-4},
+            {"x": 7e-7, "y": 7e-7},
+            "the plate falls by 1.0010 +- 0.0007 mrad towards +x (1430 standard errors from zero) "
+            "and 500.0 +- 0.7 urad towards -y (714 standard errors from zero); jointly 9 sigma",
+        ),
+        (
             "mass_mismatch",
             {"excess": -0.02},
             {"excess": 1e-3},
