@@ -37,9 +37,9 @@ VERDICT_MEANINGS = {
     Verdict.INADEQUATE: "something is missing, and no candidate passes all tests",
 }
 BASE_MEANINGS = {
-    "restitution": "normal speed of both balls after the impact over that before it",
+    "restitution": "relative normal speed of the balls after the impact over that before it",
     "sliding_friction": "coefficient of friction between ball and plate",
-    "spin_transfer": "share of the spin that the impact transfers",
+    "spin_transfer": "share of the striker's rolling spin that the struck ball gets, in the opposite sense",
     "rolling_drag": "part of the rolling loss that is proportional to the speed",
     "rolling_decel": "constant part of the rolling loss",
 }

@@ -74,8 +74,7 @@ def draw_search_figures(found: SearchOutcome) -> list[PageFigure]:
     if found.law_summary:
         caption = "Law without an assumed form: fitted curve with bands of 68 and 95 %."
         if len(found.law_summary.x) == 2:
-            caption = "Law without an assumed form, and half the width of its 68 % band, which is wide where no ball "
-            "passed."
+            caption = "Law without an assumed form, and half the width of its 68 % band: wide where no ball passed."
         figures.append((f"Free law: {found.law_summary.formula}", _law_figure(found.law_summary), caption))
     if found.scores:
         figures.append(("Significance of each candidate effect", _ranking_figure(found), _caption_ranking(found)))
@@ -117,7 +116,7 @@ def _residual_figures(found: SearchOutcome) -> tuple[Figure, Figure]:
             both[axis].axhline(0, color=COLOURS["noise"], lw=0.5)
             _mark_stages(both[axis], f"{name}, {word}", found.data.is_cut)
         both[0].set_ylabel("mean residual (µm)")
-        ax.axhline(found.gap.floor_um, color=COLOURS["noise"], lw=1, ls="--", label="noise alone")
+        ax.axhline(found.gap.floor_um, color=COLOURS["noise"], lw=1, ls="--", label="noise alone, from held-out")
         _mark_stages(ax, name, found.data.is_cut)
     row[0].set(ylabel="rms residual in x and y (µm)", ylim=(0, None))
     means.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
@@ -301,13 +300,22 @@ def _gap_by_clip_figure(found: SearchOutcome) -> Figure:
         points = np.array([len(r) for r in fit.residuals])
         chi2 = np.array([r @ r for r in fit.residuals]) / points
         at = speeds + 0.006 * np.ptp(speeds) * (2 * k - len(models) + 1)  # side by side: neither hides the other
-        errors = chi2 * np.sqrt(2 / points)
+        errors = find_chi2_scatter(chi2, points)
         ax.errorbar(at, chi2, errors, fmt=marker, ms=4, lw=1, color=colour, mfc="white", label=label)
     ax.axhline(found.gap.floor, color=COLOURS["noise"], lw=1, ls="--", label="noise alone")
     _scale_log_if_wide(ax, found.gap)
     ax.set(xlabel="speed before the contact (m/s)", ylabel=f"χ² per point, held-out {found.data.unit}")
     ax.legend()
     return figure
+
+
+def find_chi2_scatter(chi2: Array, points: Ints) -> Array:
+    """Standard deviation, by noise alone, of chi^2 per point of models that may be wrong.
+
+    A residual with mean m and variance 1 has a square with the mean 1 + m^2 and the variance 2 + 4 m^2, so `chi2`
+    estimates 1 + m^2 (the noncentral chi^2 distribution).
+    """
+    return np.asarray(np.sqrt(2 * np.maximum(2 * chi2 - 1, 1) / points))
 
 
 def _scale_log_if_wide(ax: Axes, gap: Gap, wide: float = 5.0) -> None:

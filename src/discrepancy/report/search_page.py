@@ -40,7 +40,8 @@ def write(found: SearchOutcome, folder: Path) -> None:
         f"A launch is the state of both balls at the contact. Each {unit.one} has its own, which is always fitted.",
         f"The fitted {unit} determine the shared parameters, which all {unit} have in common. The held-out {unit} "
         f"enter no fit of shared parameters; only their launches are fitted.{_describe_extremes(found)}",
-        "χ² per point: noise alone gives slightly less than 1, because the launches are fitted.",
+        "χ² per point: a point is one coordinate of one position. Noise alone gives slightly less than 1, because the "
+        "launches are fitted.",
         "Residual: measured less predicted position. Sigma: significance, as of a normal distribution.",
     )
     about_stretches = (
@@ -206,9 +207,10 @@ def _test_table(found: SearchOutcome) -> list[Block]:
     fitted, predicted = len(found.data.clips), len(found.data.held_out)
     note = (
         f"The table shows two of the tests; the result is that of all tests. The first test predicts the {predicted} "
-        f"held-out {unit}. The expected significance is the one that the claimed strength would give there. The second "
-        f"predicts all {fitted + predicted} {unit}, each by a fit that did not use it. For a fitted {unit.one} that is "
-        f"the fit to the other {fitted - 1}. So the second significance may exceed that of the effect in the fit."
+        f"held-out {unit}. The expected significance is the one that the claimed strength would give there. Both allow "
+        f"for the error of that strength. The second test predicts all {fitted + predicted} {unit}, each by a fit that "
+        f"did not use it. For a fitted {unit.one} that is the fit to the other {fitted - 1}. The second significance "
+        f"may exceed that of the effect in the fit: it counts more {unit}, and neither model was fitted to them."
     )
     return [PageTable(heads, rows, note=note)]
 

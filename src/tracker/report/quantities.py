@@ -45,7 +45,7 @@ QUANTITIES = {
     "r": Quantity("r", "", 1.0, "coefficient of restitution (restitution in a scene)"),
     "s": Quantity("s", "", 1.0, "share of the tangential velocity that is kept"),
     "mu_k": Quantity("μ_k", "", 1.0, "coefficient of sliding friction on the plate (sliding_friction in a scene)"),
-    "C": Quantity("C", "", 1.0, "share of the spin that is transferred (spin_transfer in a scene)"),
+    "C": Quantity("C", "", 1.0, "share of the striker's spin passed on, reversed (spin_transfer in a scene)"),
     "tau1": Quantity("τ_1", "ms", 1e3, "time for which the struck ball slides", "µs", 1e6),
     "tau2": Quantity("τ_2", "ms", 1e3, "time for which the striker slides", "µs", 1e6),
     "v1f": Quantity("v_1f", "cm/s", 1e2, "speed of the struck ball once it rolls", "mm/s"),

@@ -12,7 +12,7 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.noise.whitening import ClipWhitener
-from discrepancy.report.figures import _residual_figures, average_clusters
+from discrepancy.report.figures import _residual_figures, average_clusters, find_chi2_scatter
 from synthcam.model import Model
 
 
@@ -27,6 +27,14 @@ def test_the_error_of_an_average_holds_for_values_that_share_an_offset():
     variance = (offsets**2 + noise**2 / values) / clusters
     assert np.mean(errors**2) == pytest.approx(variance, rel=0.05)
     assert np.var(means) == pytest.approx(variance, rel=0.1)
+
+
+@pytest.mark.parametrize("offset", [0.0, 3.0, 40.0])
+def test_the_scatter_of_chi2_holds_for_wrong_models_too(offset):
+    points = 300
+    drawn = np.random.default_rng(2).noncentral_chisquare(points, points * offset**2 + 1e-9, 4000) / points
+    claimed = np.sqrt(np.mean(find_chi2_scatter(drawn, np.array(points)) ** 2))
+    assert claimed == pytest.approx(drawn.std(), rel=0.05)
 
 
 def test_clusters_count_the_same_and_two_have_no_error():

@@ -69,7 +69,7 @@ def test_the_page_gives_the_verdict_and_defines_its_terms(written):
     page = (written[1] / "index.html").read_text()
     assert f'<p class="summary">Verdict: {written[0].verdict}</p>' in page
     assert "Ball 1 is struck, ball 2 strikes." in page
-    assert "noise alone gives slightly less than 1" in page
+    assert "a point is one coordinate of one position. Noise alone gives slightly less than 1" in page
     assert f"<li>Verdict {written[0].verdict}: {VERDICT_MEANINGS[written[0].verdict]}.</li>" in page
     assert '<p class="summary">Tracks: out/my_tracks. Base model: my_model.yaml.</p>' in page
 
