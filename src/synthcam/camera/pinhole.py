@@ -85,13 +85,12 @@ class PinholeCamera:
 
     def project(self, points: ArrayLike) -> Array:
         """Project world points (..., 3), m, to pixels (..., 2); NaN behind the camera."""
-        return self.project_with_slope(points)[0]
+        flat, _ = self._flatten(points)
+        return np.asarray(self._distort(flat)[0] @ self.K[:2, :2].T + self.K[:2, 2])
 
     def project_with_slope(self, points: ArrayLike) -> tuple[Array, Array]:
         """Project world points (..., 3), m, to pixels (..., 2), with the derivative (..., 2, 3), px/m."""
-        seen = np.asarray(points, float) @ self.R.T + self.t
-        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
-        flat = seen[..., :2] / depth[..., None]
+        flat, depth = self._flatten(points)
         bent, bend = self._distort(flat)
         lens = self.K[:2, :2]
         pixels = bent @ lens.T + self.K[:2, 2]
@@ -99,7 +98,13 @@ class PinholeCamera:
         slope[..., 0, 0] = slope[..., 1, 1] = 1
         slope[..., 2] = -flat
         slope /= depth[..., None, None]
-        return pixels, lens @ bend @ slope @ self.R
+        return pixels, (lens @ bend if self.dist.any() else lens) @ slope @ self.R
+
+    def _flatten(self, points: ArrayLike) -> tuple[Array, Array]:
+        """Normalised coordinates (..., 2) of world points (..., 3), m, and their depth, m; NaN behind the camera."""
+        seen = np.asarray(points, float) @ self.R.T + self.t
+        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+        return seen[..., :2] / depth[..., None], depth
 
     def unproject(self, pixels: Array) -> Array:
         """Directions (..., 3) in the world, of depth 1, of the rays of pixels (..., 2)."""
