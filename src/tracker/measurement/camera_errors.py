@@ -234,7 +234,7 @@ def measure_contact_distance(fit: CollisionFit, camera: Camera) -> tuple[float, 
     """
     unit = CameraError("ball_diameter", camera.ball_diameter, 0.01)
     pull = _shift_fit(fit, [unit], camera)[1][:, 0]
-    square, along = max(float(pull @ pull), 1e-300), float(pull @ fit.linearise()[1])
+    square, along = max(float(pull @ pull), 1e-300), float(pull @ fit.linearised[1])
     off, worse = -along / square, (fit.chi2 - along**2 / square) / max(fit.dof, 1)
     known = [error.share for error in camera_errors(camera) if error.key != "fps"]
     return 1 + off * unit.share, float(np.linalg.norm([unit.share * np.sqrt(max(worse, 1.0) / square), *known]))
@@ -242,7 +242,7 @@ def measure_contact_distance(fit: CollisionFit, camera: Camera) -> tuple[float, 
 
 def _shift_fit(fit: CollisionFit, errors: Sequence[CameraError], camera: Camera) -> tuple[Array, Array, float]:
     """The `linear_response` of all parameters of a fit to errors of the camera."""
-    problem, residual, rows, cov = fit.linearise()
+    problem, residual, rows, cov = fit.linearised
     shift, left, explained = linear_response(residual, rows, cov, differentiate_residuals(fit, errors, camera))
     every = np.zeros((problem.size, len(errors)))
     every[problem.index] = shift

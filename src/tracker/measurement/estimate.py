@@ -17,6 +17,7 @@ import json
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -561,5 +562,5 @@ def _covariances_to_json(blocks: dict[str, Array], names: tuple[str, ...], share
     out: dict[str, Any] = {"names": list(names)}
     digits = 17 if shared else 7
     for fit, cov in blocks.items():
-        out[fit] = [[float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in line] for line in cov]
+        out[fit] = [[float(f"{v:.{digits}g}") if isfinite(v) else None for v in line] for line in cov.tolist()]
     return json.dumps(out | ({"shared": shared} if shared else {}), separators=(",", ":"))

@@ -191,7 +191,7 @@ def find_departure(
     departure by the tied fit of the same positions, for a free fit. None where the parameters of the fit absorb the
     departure, however large, but for a thousandth of its displacements.
     """
-    problem, residual, rows, cov = fit.linearise()
+    problem, residual, rows, cov = fit.linearised
     by = displace(problem, rows)
     positions = 2 * len(fit.pair)
     shift = -cov @ rows.T @ by
@@ -307,7 +307,7 @@ def find_p_of_motion(free: CollisionFit, noise_dof: float) -> float:
     laws cause are tested alone, by one linear step. NaN where the fit itself absorbs all of them. noise_dof: as in
     `compute_p_value`.
     """
-    problem, residual, rows, _ = free.linearise()
+    problem, residual, rows, _ = free.linearised
     since = problem.start + free.pair.struck.exposure / 2 - free.parameters[0]
     whitened = problem.whiten(_displace_by_other_laws(free.parameters, problem.ball, since)).T
     others = np.concatenate([whitened, np.zeros((len(residual) - len(whitened), whitened.shape[1]))])

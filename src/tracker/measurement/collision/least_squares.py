@@ -10,7 +10,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from functools import cached_property
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.optimize import leastsq
@@ -79,6 +80,14 @@ class BallPair:
         return len(self.struck) + len(self.striker)
 
 
+class Evaluation(NamedTuple):
+    """A motion at one x."""
+
+    position: Array  # (n, 2) m, of both balls, ball 1's first
+    residual: Array  # (2n + p,) of the positions, then of the priors
+    slope: Array  # (2n + p, p) its derivatives
+
+
 class PairResiduals(ABC):
     """Residuals of two balls' positions from a motion, in units of their errors, and derivatives.
 
@@ -92,7 +101,7 @@ class PairResiduals(ABC):
         self.pair, self.size = pair, len(every)
         self.names = tuple(name for name in every if name not in held)
         self.index = np.array([every.index(name) for name in self.names])
-        self._last: tuple[bytes, Array, Array] | None = None
+        self._evaluated: dict[bytes, Evaluation] = {}  # of the last x, oldest first
         tracks = [track for _, track in pair.balls]
         self.ball = np.repeat([1, 2], [len(track) for track in tracks])
         self.start = np.concatenate([track.start for track in tracks])
@@ -103,9 +112,14 @@ class PairResiduals(ABC):
         """Positions (n, 2) of both balls, ball 1's first, and derivatives (p, n, 2)."""
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
-        """Residuals (2n + p,) and derivatives (2n + p, p), priors last; kept for the last x."""
+        """Residuals (2n + p,) and derivatives (2n + p, p), priors last."""
+        found = self.evaluate(x)
+        return found.residual, found.slope
+
+    def evaluate(self, x: Array) -> Evaluation:
+        """Evaluate the motion at x. The last two are kept: a descent that rejects its last step returns that before."""
         key = x.tobytes()
-        if self._last is None or self._last[0] != key:
+        if key not in self._evaluated:
             with np.errstate(all="ignore"):  # a long step may overflow
                 position, slopes = self.displace(x)
                 white = self.whiten(np.concatenate([(position - self.seen)[None], slopes]))
@@ -113,8 +127,10 @@ class PairResiduals(ABC):
                 columns = np.concatenate([white[1:], np.diag(self.prior_weight)], axis=1)
                 if not (np.isfinite(residual).all() and np.isfinite(columns).all()):
                     residual, columns = np.nan_to_num(residual, nan=1e9), np.nan_to_num(columns)
-                self._last = (key, np.clip(residual, -1e9, 1e9), columns.T)
-        return self._last[1], self._last[2]
+                if len(self._evaluated) > 1:
+                    del self._evaluated[next(iter(self._evaluated))]
+                self._evaluated[key] = Evaluation(position, np.clip(residual, -1e9, 1e9), columns.T)
+        return self._evaluated[key]
 
     def residual(self, x: Array) -> Array:
         """Whitened residuals (2n + p,), priors last."""
@@ -168,7 +184,7 @@ class WhitenedResiduals(PairResiduals):
 
     def distances(self, x: Array) -> Array:
         """Squared Mahalanobis distance (n,) of each position by itself, ball 1's first."""
-        off, cut = self._path(self.whole(x))[0] - self.seen, len(self.pair.struck)
+        off, cut = self.evaluate(x).position - self.seen, len(self.pair.struck)
         one, two = self.pair.struck.whiten, self.pair.striker.whiten
         return np.concatenate([one.distance(off[:cut]), two.distance(off[cut:])])
 
@@ -190,7 +206,8 @@ class CollisionFit:
         """True if restitution, friction and spin transfer determine the motion after the hit."""
         return len(self.parameters) == len(TIED)
 
-    def linearise(self) -> tuple[WhitenedResiduals, Array, Array, Array]:
+    @cached_property
+    def linearised(self) -> tuple[WhitenedResiduals, Array, Array, Array]:
         """The problem of the fit with residuals, derivatives and covariance of the fitted parameters at its minimum."""
         problem = WhitenedResiduals(self.pair, self.is_tied)
         fitted = problem.index

@@ -79,7 +79,7 @@ def variance_of_residuals(free: CollisionFit) -> float:
 
 def _neighbour_correlation(free: CollisionFit) -> tuple[float, float]:
     """Correlation of neighbouring residuals of a free fit, and the same in standard errors."""
-    left = free.linearise()[1][: 2 * len(free.pair)].reshape(-1, 2)
+    left = free.linearised[1][: 2 * len(free.pair)].reshape(-1, 2)
     cut = len(free.pair.struck)
     products = np.concatenate([part[1:] * part[:-1] for part in (left[:cut], left[cut:])])
     rho = float(products.mean() / max(float((left**2).mean()), 1e-300))
