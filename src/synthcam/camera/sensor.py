@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, ndtr
 
 from synthcam.camera.exposure import Picture
-from synthcam.camera.frame_seeds import make_frame_seed
 from synthcam_shared.arrays import Array, Float32, Index
 
 Part = slice | Index
@@ -72,8 +71,7 @@ class SensorChip:
         The noise depends on (root_seed, clip, frame) only. A bare array of picture values is exposed pixel by pixel,
         which is slower.
         """
-        seed: Any = make_frame_seed(self.root_seed, (clip, 1), frame)  # numpy's types know SeedSequence alone
-        rng = np.random.Generator(np.random.SFC64(seed))
+        rng = _generator(self.root_seed, (clip, 1, frame))
         counts: Counts
         if not isinstance(picture, Picture):
             return self._exact(np.asarray(picture), slice(None), slice(None), rng)
