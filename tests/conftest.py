@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 import typer.main
 from hypothesis import settings
+from hypothesis.internal.conjecture import providers
 from report_pages import undrawn
 
 import synthcam.library as effects_module
@@ -26,9 +27,11 @@ SHARED = {
     "records": re.compile(r"^from discrepancy_files import", re.MULTILINE),
 }
 
-settings.register_profile("same", derandomize=True, deadline=None)
+settings.register_profile("same", derandomize=True, deadline=None, max_examples=40)
 settings.register_profile("random", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+# Hypothesis would draw constants from the source of all modules loaded: each process would draw cases of its own.
+providers._get_local_constants = lambda: providers._local_constants
 # A process runs one command; here it runs hundreds, and all would make the tree of commands and options again.
 typer.main.get_command = functools.cache(typer.main.get_command)
 gc.disable()  # while tests are collected nothing becomes garbage
