@@ -51,13 +51,17 @@ def save(path: Path, figures: Any) -> None:
 def keep(path: Path, part: str, measure: Callable[[], Any]) -> Any:
     """The figures of a part: those of its line of `path`, or measured and added there, so that a stopped run continues.
 
-    Delete the file to measure again.
+    A run that is killed may leave the last line without its end; its part is measured again. Delete the file to measure
+    all again.
     """
-    lines = path.read_text().splitlines() if path.is_file() else []
-    kept = {line["part"]: line["figures"] for line in map(json.loads, lines)}
+    written = path.read_text() if path.is_file() else ""
+    whole = written[: written.rfind("\n") + 1]
+    kept = {line["part"]: line["figures"] for line in map(json.loads, whole.splitlines())}
     if part not in kept:
         path.parent.mkdir(parents=True, exist_ok=True)
         kept[part] = json.loads(json.dumps(measure()))
+        line = json.dumps({"part": part, "figures": kept[part]}) + "\n"
         with path.open("a") as file:
-            file.write(json.dumps({"part": part, "figures": kept[part]}) + "\n")
+            file.truncate(len(whole.encode()))
+            file.write(line)
     return kept[part]

@@ -5,7 +5,8 @@ python -m benchmarks.tracker.crowds [--films 20] [--short] [-o JSON] [--figure P
 No film is rendered. Positions are those of the simulation with 0.05 px noise; a hundredth is missing, and each frame
 has one false spot in the mean. All linkers get the same positions in the same run. trackpy predicts by the nearest
 velocity, with a reach that adapts. A linker's reach is 1.2 of the longest true step of a ball. Tracks of one or two
-frames count for none. A run that was stopped continues: parts whose line OUTPUT.jsonl has are not measured again.
+frames count for none. `--short` shortens the long films and takes five films for the contacts. A run that was stopped
+continues: parts whose line OUTPUT.jsonl has are not measured again.
 """
 
 from __future__ import annotations
@@ -149,24 +150,27 @@ def draw(figures: dict[str, Any], path: Path) -> None:
 def main() -> None:
     """Run all parts and write the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--films", type=int, default=20)
+    parser.add_argument("--films", type=int, help="films whose contacts are measured; 20, or 5 with --short")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out/crowds.json")
     parser.add_argument("--figure", type=Path, default=ROOT / "out/crowds.png")
-    parser.add_argument("--short", action="store_true", help="without the two long films")
+    parser.add_argument("--short", action="store_true", help="fewer frames of the two long films, and fewer films")
     given = parser.parse_args()
+    of_30, of_100, films = (300, 200, 5) if given.short else (1000, 500, 20)
     long_films: dict[str, Callable[[], Any]] = {
-        "crowd of 30, 1000 frames": lambda: score_linkers(Scene.read("crowd", timing={"frames": 1000}).draw(seed=1)),
-        "100 balls that cool, 500 frames": lambda: score_tray(0.3, 500),
+        f"crowd of 30, {of_30} frames": lambda: score_linkers(
+            Scene.read("crowd", timing={"frames": of_30}).draw(seed=1)
+        ),
+        f"100 balls that cool, {of_100} frames": lambda: score_tray(0.3, of_100),
     }
     kept = given.output.with_suffix(".jsonl")
     figures: dict[str, Any] = {"linking": []}
     for speed in SPEEDS:
         figures["linking"].append(keep(kept, f"linking {speed}", partial(score_tray, speed)))
         print(figures["linking"][-1], flush=True)
-    for name, make in ({} if given.short else long_films).items():
+    for name, make in long_films.items():
         figures[name] = keep(kept, name, make)
         print(name, figures[name], flush=True)
-    figures["contacts"] = measure_films("crowd", given.films, kept)
+    figures["contacts"] = measure_films("crowd", given.films or films, kept)
     print({name: value for name, value in figures["contacts"].items() if name != "films"})
     save(given.output, figures)
     draw(figures, given.figure)
