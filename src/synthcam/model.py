@@ -147,13 +147,15 @@ class Ball:
 class Bodies:
     """Balls in a row: radius (n,) m, mass (n,) kg, of_a (n,): 1 for the experimenter's ball a, 0 for ball b.
 
-    inertia: I/(m R^2), (n,); 2/5 of solid balls.
+    inertia: I/(m R^2), (n,); 2/5 of solid balls. base: friction and rolling loss of each, (n,) by their names in
+    `Model`, where they differ from the model's.
     """
 
     radius: Array
     mass: Array
     of_a: Array
     inertia: Array
+    base: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -161,11 +163,19 @@ class Bodies:
         return tuple("a" if of_a else "b" for of_a in self.of_a)
 
     def __getitem__(self, which: Any) -> Bodies:
-        return Bodies(self.radius[which], self.mass[which], self.of_a[which], self.inertia[which])
+        base = {name: values[which] for name, values in self.base.items()}
+        return Bodies(self.radius[which], self.mass[which], self.of_a[which], self.inertia[which], base)
 
     @classmethod
     def join(cls, *parts: Bodies) -> Bodies:
-        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(cls)))
+        base = {name: np.concatenate([p.base[name] for p in parts]) for name in parts[0].base}
+        names = "radius", "mass", "of_a", "inertia"
+        radius, mass, of_a, inertia = (np.concatenate([getattr(p, name) for p in parts]) for name in names)
+        return cls(radius, mass, of_a, inertia, base)
+
+    def base_value(self, model: Model, name: str) -> Any:
+        """A parameter of the base model, by its name there: one number for all, or (n,) where `base` has it."""
+        return self.base.get(name, getattr(model, name))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -12,7 +12,7 @@ from discrepancy.data.launch import MAX_SPIN_TO_SPEED, V0, WITH_SPIN, find_free_
 from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import difference_step, find_parameter, find_tried_range, parameter_limits
 from discrepancy.fitting.predict import predict_tracks
-from synthcam.dynamics.batch import LAUNCH_COLUMNS
+from synthcam.dynamics.batch import LAUNCH_COLUMNS, VARIABLE_BASE_PARAMETERS, may_vary_base
 from synthcam.model import Model, without_mutual_push
 from synthcam_shared.arrays import Array
 
@@ -102,7 +102,7 @@ def differentiate_launches(
     for first in range(0, len(clips), batch):
         some, places = clips[first : first + batch], launches[first : first + batch]
         try:
-            parts = [_difference_launches(model, places, some)]
+            parts = [_difference_launches(model, places, some)[:2]]
         except ValueError:
             parts = [_difference_one_sided(model, place, clip) for place, clip in zip(places, some, strict=True)]
         here += [h for part, _ in parts for h in part]
@@ -110,23 +110,60 @@ def differentiate_launches(
     return here, slopes
 
 
+def differentiate_launches_and_base(
+    model: Model, launches: Array, clips: Sequence[MeasuredCollision], names: Sequence[str], batch: int = 32
+) -> tuple[list[Array], list[Array], dict[str, list[Array]]]:
+    """Predict tracks and differentiate them by launches, as `differentiate_launches`, and by base parameters.
+
+    The third result has those base parameters among `names` that can be differentiated at once: prediction of a few
+    clips costs little more than of one. They are forward differences, as those of `differentiate_tracks`.
+    """
+    steps = {n: 0.1 * difference_step(model, n) for n in names if n in VARIABLE_BASE_PARAMETERS}
+    steps = {n: s for n, s in steps.items() if model.value(n) + s <= parameter_limits(model, n)[1]}
+    if not steps or not may_vary_base(model):
+        return *differentiate_launches(model, launches, clips), {}
+    here, slopes, shared = list[Array](), list[Array](), {n: list[Array]() for n in steps}
+    with suppress(ValueError):
+        for first in range(0, len(clips), batch):
+            own = slice(first, first + batch)
+            expected, by_launch, by_base = _difference_launches(model, launches[own], clips[own], steps)
+            here += expected
+            slopes += by_launch
+            for n, columns in zip(steps, by_base, strict=True):
+                shared[n] += columns
+        return here, slopes, shared
+    return *differentiate_launches(model, launches, clips), {}
+
+
 def _difference_launches(
-    model: Model, launches: Array, clips: Sequence[MeasuredCollision]
-) -> tuple[list[Array], list[Array]]:
+    model: Model, launches: Array, clips: Sequence[MeasuredCollision], base_steps: Mapping[str, float] | None = None
+) -> tuple[list[Array], list[Array], list[list[Array]]]:
+    """Tracks, their derivatives by the launches, and by base parameters with these steps, by name and clip."""
+    steps = base_steps or {}
     (k, size), (clip, column) = launches.shape, np.nonzero(find_free_launch_columns(launches))
     nudged = launches[clip]
     nudged[np.arange(len(clip)), column] += LAUNCH_STEP
-    every = predict_tracks(model, np.concatenate([launches, nudged]), [*clips, *(clips[i] for i in clip.tolist())])
+    nudges = k + len(clip)
+    base = {n: np.full(nudges + k * len(steps), model.value(n)) for n in steps}
+    for turn, (n, step) in enumerate(steps.items()):
+        base[n][nudges + k * turn :][:k] += step
+    rows = np.concatenate([launches, nudged, *[launches] * len(steps)])
+    some = [*clips, *(clips[i] for i in clip.tolist()), *[c for _ in steps for c in clips]]
+    every = predict_tracks(model, rows, some, base)
     here, slopes = every[:k], [np.zeros((*xy.shape, size)) for xy in every[:k]]
-    for i, j, there in zip(clip.tolist(), column.tolist(), every[k:], strict=True):
+    for i, j, there in zip(clip.tolist(), column.tolist(), every[k:nudges], strict=True):
         slopes[i][..., j] = (there - here[i]) / LAUNCH_STEP
-    return here, slopes
+    shared = [
+        [(a - b) / step for a, b in zip(every[nudges + k * turn :][:k], here, strict=True)]
+        for turn, step in enumerate(steps.values())
+    ]
+    return here, slopes, shared
 
 
 def _difference_one_sided(model: Model, launch: Array, clip: MeasuredCollision) -> tuple[list[Array], list[Array]]:
     """The same for one clip: all columns at once, or if that fails each to the side that has a motion."""
     with suppress(ValueError):
-        return _difference_launches(model, launch[None], [clip])
+        return _difference_launches(model, launch[None], [clip])[:2]
     (here,) = predict_tracks(model, launch[None], [clip])
     slopes = np.zeros((*here.shape, len(launch)))
     for j in np.flatnonzero(find_free_launch_columns(launch[None])[0]).tolist():
@@ -146,8 +183,10 @@ def linearise(
     exact: count the push between balls in all derivatives; see `jacobian.differentiate_all`.
     Raises ValueError where the model has no motion for a launch.
     """
-    expected, own = differentiate_launches(model, launches, whitened.clips)
-    shared = differentiate_all(model, launches, whitened.clips, names, expected, exact)
+    expected, own, known = differentiate_launches_and_base(model, launches, whitened.clips, names)
+    others = [n for n in names if n not in known]
+    known |= zip(others, differentiate_all(model, launches, whitened.clips, others, expected, exact), strict=True)
+    shared = [known[n] for n in names]
     residuals = whitened.whiten([c.xy - e for c, e in zip(whitened.clips, expected, strict=True)])
     if names:
         slopes = whitened.whiten([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,17 +18,25 @@ from synthcam_shared.arrays import Array, Ints
 from tracker.camera.camera import Camera, LampSettings
 
 
-def predict_tracks(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
+def predict_tracks(
+    model: Model, launches: Array, clips: Sequence[MeasuredCollision], base: Mapping[str, Array] | None = None
+) -> list[Array]:
     """Predict where each clip's balls are seen: centres (n_k, 2), m, where the clip has measurements.
 
     launches: (clips, p), with columns as in `discrepancy.data.launch`. The clips are of one camera, at any frame rates.
+    base: base parameters of each clip, as `synthcam.dynamics.batch.solve_collisions` takes them.
     Raises ValueError where the model has no motion for a launch or the positions overflow; OutOfTime when the time of
     the search is over.
     """
     farthest = 1e9  # m; squares of such residuals are still finite
     report_progress()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        positions = map_by_frame_rate(clips, lambda rows, some: _predict_one_rate(model, launches[rows], some))
+        positions = map_by_frame_rate(
+            clips,
+            lambda rows, some: _predict_one_rate(
+                model, launches[rows], some, {name: values[rows] for name, values in (base or {}).items()}
+            ),
+        )
     if not all(np.abs(p).max(initial=0.0) < farthest for p in positions):  # NaN too
         raise ValueError("the predicted positions are not finite, or beyond 1e9 m")
     return positions
@@ -49,9 +57,14 @@ def map_by_frame_rate(
     return [found[k] for k in range(len(clips))]
 
 
-def _predict_one_rate(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
-    if model.sliding_friction == 0:  # so little that a slide outlasts every film, but ends
-        model = model.replace({"sliding_friction": 1e-9})
+def _predict_one_rate(
+    model: Model, launches: Array, clips: Sequence[MeasuredCollision], base: Mapping[str, Array]
+) -> list[Array]:
+    little = 1e-9  # friction so little that a slide outlasts every film, but ends
+    if model.sliding_friction == 0:
+        model = model.replace({"sliding_friction": little})
+    if "sliding_friction" in base:
+        base = {**base, "sliding_friction": np.where(base["sliding_friction"] == 0, little, base["sliding_friction"])}
     camera, (frames, seen) = clips[0].camera, _arrange_frames(clips)
     film = frames / camera.fps
     exposure = float(model.laws("exposure", camera.exposure, {"fps": camera.fps}))
@@ -61,7 +74,8 @@ def _predict_one_rate(model: Model, launches: Array, clips: Sequence[MeasuredCol
     start = min(float(extent.min()), float(launches[:, T_C].min()))
     last = np.array([c.frame.max() for c in clips]) / camera.fps
     ends = np.max(model.laws("clock", last, {"fps": camera.fps, "row": rows}) + exposure + 0 * rows, axis=0)
-    motion = solve_collisions(model, launches, start, float(extent.max()), [c.striker == "a" for c in clips], ends)
+    a_strikes = [c.striker == "a" for c in clips]
+    motion = solve_collisions(model, launches, start, float(extent.max()), a_strikes, ends, base)
     positions, opens = _average_exposures(model, motion, camera, film, exposure)
     height: Array | float = camera.radius
     if model.laws.has_effect_on("loft"):  # means over the exposures by Simpson's rule

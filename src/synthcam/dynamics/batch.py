@@ -6,6 +6,7 @@ nothing: its motion is free from the time of its launch on, and straight on befo
 """
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +18,7 @@ from synthcam.dynamics.contacts.impact import collide_pairs, land_on_plate
 from synthcam.dynamics.forces import (
     FLY,
     LAWS,
+    MOTION_PARAMETERS,
     REST,
     ROLL,
     SLIDE,
@@ -55,6 +57,8 @@ from synthcam_shared.arrays import Array, Flags, Index
 
 # position of the contact, m; its time, s; speed, m/s, and heading, rad, of the striker; b over the sum of the radii
 LAUNCH_COLUMNS = ("x", "y", "t_c", "v0", "heading", "b")
+IMPACT_PARAMETERS = ("restitution", "spin_transfer")  # of the base model
+VARIABLE_BASE_PARAMETERS = IMPACT_PARAMETERS + MOTION_PARAMETERS  # may differ between collisions of one batch
 MAX_GROUP = 400  # balls that are integrated or evaluated together: more leave the processor's cache
 
 
@@ -134,8 +138,19 @@ class CollisionBatch:
         return np.moveaxis(out.reshape(2, 2, self.size, own.shape[-1]), 0, -1)
 
 
+def may_vary_base(model: Model) -> bool:
+    """Tell if base parameters may differ between the collisions of one batch: not if balls push each other."""
+    return not model.laws.needs("push", "other")
+
+
 def solve_collisions(
-    model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False, ends: Array | None = None
+    model: Model,
+    launches: Array,
+    start: float,
+    end: float,
+    striker_is_a: Any = False,
+    ends: Array | None = None,
+    base: Mapping[str, Array] | None = None,
 ) -> CollisionBatch:
     """Solve many collisions at once. Raises ValueError as `solve` does.
 
@@ -144,9 +159,13 @@ def solve_collisions(
     start, end: s.
     striker_is_a: whether the striker is ball a of the experimenter, (n,) or one for all.
     ends: (n,) s, until when each free striker is followed; by default all are followed until `end`.
+    base: base parameters of each collision, (n,), by name, instead of the model's; only if `may_vary_base`.
     """
     is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), len(launches))
-    one, two = model.bodies_where(~is_a), model.bodies_where(is_a)
+    own: Any = base or {}
+    at_hit = dataclasses.replace(model, **{name: own[name] for name in IMPACT_PARAMETERS if name in own})
+    moving = {name: own[name] for name in MOTION_PARAMETERS if name in own}
+    one, two = (dataclasses.replace(model.bodies_where(a), base=moving) for a in (~is_a, is_a))
     n, both = len(launches), Bodies.join(one, two)
     t_c = launches[:, 2].astype(float)
     spin = launches[:, 6:] if launches.shape[1] > len(LAUNCH_COLUMNS) else None
@@ -165,7 +184,7 @@ def solve_collisions(
         raise ValueError("a ball that meets nothing has no partner to push it")
     run.start_alone(alone, targets, strikers)
     states = run.solve_approach(states, ~free)
-    hit = collide_pairs(model, states[:n], states[n:], one, two)
+    hit = collide_pairs(at_hit, states[:n], states[n:], one, two)
     if run.mutual and np.any(soft := hit.impulse_n < MIN_IMPACT_SPEED_OF_PAIR_M_S * one.mass):
         raise ValueError("balls 0 and 1 " + STAYING.format(t_c[soft][0]))
     after = np.concatenate([hit.target, hit.striker])
@@ -174,8 +193,9 @@ def solve_collisions(
     candidates = run.out.recontact_candidates
     run.out.recontact_candidates = candidates[~free[candidates]]
     odd = np.array(sorted({*_find_second_contacts(run.out, both).tolist(), *run.out.restarting}), dtype=np.intp)
-    _solve_free_balls(model, strikers[np.isin(alone, odd)], (t_c, until), two, run.out, odd[free[odd]])
-    return _solve_one_by_one(model, launches, is_a, run.out, odd[~free[odd]])
+    models = {k: model.replace({name: float(values[k]) for name, values in own.items()}) for k in odd.tolist()}
+    _solve_free_balls(models, strikers[np.isin(alone, odd)], (t_c, until), two, run.out, odd[free[odd]])
+    return _solve_one_by_one(models, launches, is_a, run.out, odd[~free[odd]])
 
 
 def _find_second_contacts(out: CollisionBatch, both: Bodies) -> Index:
@@ -208,14 +228,17 @@ def _find_second_contacts(out: CollisionBatch, both: Bodies) -> Index:
     return np.asarray(suspects[gap.min(axis=1) < -overlap])
 
 
-def _solve_one_by_one(model: Model, launches: Array, is_a: Flags, out: CollisionBatch, which: Index) -> CollisionBatch:
-    """Replace the motion of some collisions by that of `solve`."""
+def _solve_one_by_one(
+    models: Mapping[int, Model], launches: Array, is_a: Flags, out: CollisionBatch, which: Index
+) -> CollisionBatch:
+    """Replace the motion of some collisions by that of `solve`. models: of each of them."""
     if len(which) == 0:
         return out
     n, kinks = out.size, [list(row) for row in out.breaks]
     out.segments = [drop_balls(s, np.isin(s.who % n, which)) for s in out.segments]
     for k in which:
         x, y, t_c, v0, heading, b, *spin = launches[k]
+        model = models[int(k)]
         labels = ("b", "a") if is_a[k] else ("a", "b")
         launch = Launch.pair(model.bodies(labels), t_c, v0, b, heading, (x, y), spin or NO_SPIN)
         motion = solve(model, launch, out.start, out.end, finish_slides=False)  # a slide may last for hours
@@ -232,11 +255,17 @@ def _solve_one_by_one(model: Model, launches: Array, is_a: Flags, out: Collision
 
 
 def _solve_free_balls(
-    model: Model, states: Array, spans: tuple[Array, Array], bodies: Bodies, out: CollisionBatch, which: Index
+    models: Mapping[int, Model],
+    states: Array,
+    spans: tuple[Array, Array],
+    bodies: Bodies,
+    out: CollisionBatch,
+    which: Index,
 ) -> None:
     """Replace the motion of some balls that meet nothing, from their states (k, 9) on, by that of `solve`.
 
-    spans: when the ball of each collision has that state, and until when it is followed, (n,) s. which: (k,).
+    models: of each of their collisions. spans: when the ball of each collision has that state, and until when it is
+    followed, (n,) s. which: (k,).
     """
     if len(which) == 0:
         return
@@ -244,7 +273,8 @@ def _solve_free_balls(
     out.segments = [drop_balls(s, np.isin(s.who, which + out.size)) for s in out.segments]
     for k, state in zip(which, states[:, None], strict=True):
         row, time, radius = np.array([k + out.size]), t_c[[k]], bodies.radius[[k]]
-        its = solve(model, Launch(t_c[k], state, bodies[[k]]), t_c[k], ends[k], finish_slides=False)
+        own = dataclasses.replace(bodies[[k]], base={})
+        its = solve(models[int(k)], Launch(t_c[k], state, own), t_c[k], ends[k], finish_slides=False)
         if t_c[k] > out.start:
             out.segments.append(RollSegment(row, np.array([out.start]), time, time, state, radius, 0.0, 0.0))
         out.segments.append(TrajectorySegment(row, time, ends[[k]], its))
@@ -305,7 +335,9 @@ class _BatchSolver:
             elif mode == ROLL:
                 self._add_roll(own, states[own], start[own], self.t_c[own], self.t_c[own])
             else:  # slides in closed form that end in these states at the contacts
-                slowing = np.full(len(own), self.model.sliding_friction * self.model.gravity)
+                slowing = np.full(
+                    len(own), self.bodies[own].base_value(self.model, "sliding_friction") * self.model.gravity
+                )
                 law, back = (self.bodies.radius[own], slowing), (start[own] - self.t_c[own])[:, None]
                 first = kinematics.slide(states[own], *law, back, self.bodies.inertia[own])[:, 0]
                 slides = SlideSegment(own, start[own], self.t_c[own], first, *law, self.bodies.inertia[own])
@@ -454,7 +486,7 @@ class _BatchSolver:
                 self._propagate(some, states, now)
             return
         begins, from_, radius, inertia = now[who], states[who], self.bodies.radius[who], self.bodies.inertia[who]
-        slowing = np.full(len(who), self.model.sliding_friction * self.model.gravity)
+        slowing = np.full(len(who), self.bodies[who].base_value(self.model, "sliding_friction") * self.model.gravity)
         lasts = kinematics.slide_time(from_, radius, slowing, inertia)
         ends, last = begins + lasts, kinematics.slide(from_, radius, slowing, lasts[:, None], inertia)[:, 0]
         self.out.segments.append(SlideSegment(who, begins, ends, from_, radius, slowing, inertia))
@@ -470,7 +502,8 @@ class _BatchSolver:
             for some in _group_by_size(who, speed * (end - now[who])):
                 self._propagate(some, states, now)
             return
-        lasts = kinematics.stop_time(speed, self.model.rolling_drag, self.model.rolling_decel)
+        drag, decel = (self.bodies[who].base_value(self.model, name) for name in ("rolling_drag", "rolling_decel"))
+        lasts = kinematics.stop_time(speed, drag, decel)
         ends = np.minimum(end, now[who] + lasts)
         leg = self._add_roll(who, states[who], now[who], ends, now[who])
         states[who] = leg.states(ends[:, None])[:, 0]
@@ -481,7 +514,7 @@ class _BatchSolver:
 
     def _add_roll(self, who: Index, states: Array, begins: Array, ends: Array, time: Array) -> RollSegment:
         """Add rolls in closed form through these states at `time`."""
-        loss = self.model.rolling_drag, self.model.rolling_decel
+        loss = (self.bodies[who].base_value(self.model, name) for name in ("rolling_drag", "rolling_decel"))
         leg = RollSegment(who, begins, ends, time, states, self.bodies.radius[who], *loss)
         self.out.segments.append(leg)
         return leg

@@ -21,6 +21,7 @@ REST, ROLL, SLIDE, FLY = range(4)
 ZERO_SPEED_M_S = 1e-12  # slower is rest, or rolling for a contact velocity
 STOP_SPEED_M_S = 1e-7  # a rolling ball slower than this has stopped
 END_SLIP_SHARE = 1e-5  # of the first slip: the rest of the slide, a microsecond, is a uniform deceleration
+MOTION_PARAMETERS = ("sliding_friction", "rolling_drag", "rolling_decel")  # of the base model, between impacts
 LAWS = {SLIDE: ("friction", "normal_load", "push", "drilling"), ROLL: ("rolling", "push"), FLY: ("push",)}
 NOWHERE = np.full(2, np.inf)  # position of the other ball where there is none
 TINY = 1e-300  # keeps quotients finite
@@ -38,16 +39,23 @@ def classify_modes(states: Array, radius: Array) -> Index:
 
 @dataclass(frozen=True)
 class Forces:
-    """The forces on m balls. constants: inputs of the laws that do not change with time, (m, 1) or a number."""
+    """The forces on m balls.
+
+    constants: inputs of the laws that do not change with time; base: friction and rolling loss without effects; both
+    (m, 1) or a number.
+    """
 
     model: Model
     constants: dict[str, Any]
+    base: dict[str, Any]
     inertia: Array  # (m, 1)
 
     @classmethod
     def of(cls, model: Model, bodies: Bodies) -> Self:
         known: dict[str, Any] = dict(gravity=model.gravity, radius=bodies.radius[:, None], mass=bodies.mass[:, None])
-        return cls(model, known | dict(of_a=bodies.of_a[:, None], ball=model.ball), bodies.inertia[:, None])
+        base: dict[str, Any] = {name: getattr(model, name) for name in MOTION_PARAMETERS}
+        base |= {name: values[:, None] for name, values in bodies.base.items()}
+        return cls(model, known | dict(of_a=bodies.of_a[:, None], ball=model.ball), base, bodies.inertia[:, None])
 
     @cached_property
     def slip_rate(self) -> Array:
@@ -58,8 +66,11 @@ class Forces:
         return np.asarray(push_share(self.inertia))
 
     def __getitem__(self, rows: Any) -> Self:
-        constants = {k: v[rows] if isinstance(v, np.ndarray) else v for k, v in self.constants.items()}
-        return type(self)(self.model, constants, self.inertia[rows])
+        constants, base = (
+            {k: v[rows] if isinstance(v, np.ndarray) else v for k, v in values.items()}
+            for values in (self.constants, self.base)
+        )
+        return type(self)(self.model, constants, base, self.inertia[rows])
 
     def list_inputs(self, place: Array, v: Array, other: Any, **more: Any) -> dict[str, Any]:
         """List the inputs of laws by name. place, v: (2, m, n), m and m/s; other: as of `act_on_sliding`."""
@@ -83,7 +94,7 @@ class Forces:
         """
         laws = self.model.laws
         instant = self.list_inputs(place, v, other, spin=spin, slip_speed=slip, slip=move_vectors_to_last_axis(hat))
-        friction = laws("friction", self.model.sliding_friction, instant)
+        friction = laws("friction", self.base["sliding_friction"], instant)
         load = laws("normal_load", self.model.gravity, instant)
         slowing = self.slip_rate * friction * load + np.zeros_like(slip)
         twist = 0.0
@@ -98,8 +109,8 @@ class Forces:
     def accelerate_rolling(self, place: Array, v: Array, other: Any) -> Array:
         """Return the acceleration of rolling balls, (2, m, n) m/s^2."""
         model, speed = self.model, np.hypot(v[0], v[1])
-        base, inputs = model.rolling_drag * speed + model.rolling_decel, self.list_inputs(place, v, other, speed=speed)
-        loss = model.laws("rolling", base, inputs)
+        plain = self.base["rolling_drag"] * speed + self.base["rolling_decel"]
+        loss = model.laws("rolling", plain, self.list_inputs(place, v, other, speed=speed))
         out = v * (-loss / np.maximum(speed, TINY))
         if model.laws.has_effect_on("push"):
             out = out + self.push_share * self.push(place, v, other)

@@ -62,7 +62,7 @@ def after_slowing(state: State, ax: Real, ay: Real, turn: Real, t: Real) -> Stat
     return (*out, vx + ax * t, vy + ay * t, vz, wx + turn * ay, wy - turn * ax, wz)
 
 
-def after_rolling(state: State, radius: Real, drag: float, decel: float, t: Real) -> State:
+def after_rolling(state: State, radius: Real, drag: Real, decel: Real, t: Real) -> State:
     """Roll straight on for the time t, which may be negative, with a = -(drag v + decel). The speed must not be 0."""
     x, y, _, vx, vy, _, _, _, wz = state
     slowing = decel / (vx * vx + vy * vy) ** 0.5
@@ -211,30 +211,40 @@ def slide_time(state: Array, radius: Real, slowing: Real, inertia: Real = SOLID_
     return np.hypot(u[..., 0], u[..., 1]) / np.where(slowing > 0, slip_rate(inertia) * slowing, 1e-9)
 
 
-def roll(state: Array, radius: Real, drag: float, decel: float, elapsed: Array) -> Array:
-    """Roll many balls, each to many times: see `after_rolling`."""
+def roll(state: Array, radius: Real, drag: Real, decel: Real, elapsed: Array) -> Array:
+    """Roll many balls, each to many times: see `after_rolling`. drag, decel: of all balls, or of each."""
     radius = np.asarray(radius)[..., None]
+    drag, decel = (x[..., None] if isinstance(x, np.ndarray) else x for x in (drag, decel))
     return stack_components(after_rolling(split_components(state), radius, drag, decel, elapsed), elapsed)
 
 
-def stop_time(speed: Real, drag: float, decel: float) -> Any:
-    """Return the seconds until a rolling ball of this speed stops; infinite when decel is 0."""
+def stop_time(speed: Real, drag: Real, decel: Real) -> Any:
+    """Return the seconds until a rolling ball of this speed stops; infinite when decel is 0.
+
+    All may be arrays; drag and decel are numbers where the speed is one.
+    """
     if isinstance(speed, float):
         if decel == 0:
             return math.inf
         fast = drag * speed / decel
         return speed / decel * (math.log1p(fast) / fast if fast > 1e-9 else 1 - fast / 2)
-    if decel == 0:
+    none = np.equal(decel, 0)
+    if none.all():
         return np.full(np.shape(speed), np.inf)
+    if none.any():
+        return np.where(none, np.inf, stop_time(speed, drag, np.where(none, 1.0, decel)))
     x = drag * np.asarray(speed, dtype=float) / decel
     small = x < 1e-9
     return speed / decel * np.where(small, 1 - x / 2, np.log1p(x) / np.where(small, 1, x))
 
 
-def integrate_drag(drag: float, t: Real) -> tuple[Real, Real]:
-    """Return the closed forms of a drag: (1 - e^(-drag t))/drag and its integral over t, accurate at small drag t."""
+def integrate_drag(drag: Real, t: Real) -> tuple[Real, Real]:
+    """Return the closed forms of a drag: (1 - e^(-drag t))/drag and its integral over t, accurate at small drag t.
+
+    drag: a number, or an array where t is one.
+    """
     x = drag * t
-    weak = drag <= 1e-3  # 1/s: the closed forms would lose digits to cancellation
+    weak = np.min(drag) <= 1e-3 if isinstance(drag, np.ndarray) else drag <= 1e-3  # 1/s: cancellation loses digits
     if isinstance(t, float):
         if drag == 0:
             return t, t * t / 2

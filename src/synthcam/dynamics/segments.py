@@ -94,24 +94,28 @@ class SlideSegment(Segment):
 
 @dataclass(frozen=True)
 class RollSegment(Segment):
-    """Straight rolls in closed form; the balls are in `state` (k, 9), not at rest, at `time` (k,)."""
+    """Straight rolls in closed form; the balls are in `state` (k, 9), not at rest, at `time` (k,).
+
+    drag, decel: one number for all balls, or (k,).
+    """
 
     time: Array
     state: Array
     radius: Array
-    drag: float
-    decel: float
+    drag: Real
+    decel: Real
 
     def states(self, times: Array) -> Array:
         return roll(self.state, self.radius, self.drag, self.decel, times - self.time[:, None])
 
     def average_centres(self, middle: Array, wide: Real) -> Array:
         slowing = (self.decel / np.hypot(self.state[:, 3], self.state[:, 4]))[:, None]
-        decay, slack = integrate_drag(self.drag, middle - self.time[:, None])
+        drag = self.drag[:, None] if isinstance(self.drag, np.ndarray) else self.drag
+        decay, slack = integrate_drag(drag, middle - self.time[:, None])
         path = decay - slowing * slack
-        z = self.drag * wide / 2  # the mean of an exponential is sinh(z)/z times that in the middle
+        z = drag * wide / 2  # the mean of an exponential is sinh(z)/z times that in the middle
         mean = wide * wide / 24 * (1 + z * z / 20 * (1 + z * z / 42 * (1 + z * z / 72)))
-        path -= (self.drag + slowing) * (1 - self.drag * decay) * mean
+        path -= (drag + slowing) * (1 - drag * decay) * mean
         return np.asarray(_with_axes_first(self.state[:, :2]) + path * _with_axes_first(self.state[:, 3:5]))
 
 

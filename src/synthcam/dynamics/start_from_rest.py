@@ -34,8 +34,9 @@ def excess_push(model: Model, bodies: Bodies, states: Array, other: Array) -> Ar
     velocity, speed = STOP_SPEED_M_S * push / np.maximum(size, TINY), np.full(size.shape, STOP_SPEED_M_S)
     apart = move_vectors_to_last_axis(other - place)
     known = Forces.of(model, bodies).list_inputs(place, velocity, apart, speed=speed)
-    loss = model.laws("rolling", model.rolling_decel, known)
-    return np.asarray(size * push_share(bodies.inertia)[:, None] - np.maximum(model.rolling_decel, loss))
+    decel = Forces.of(model, bodies).base["rolling_decel"]
+    loss = model.laws("rolling", decel, known)
+    return np.asarray(size * push_share(bodies.inertia)[:, None] - np.maximum(decel, loss))
 
 
 def solve_approach(

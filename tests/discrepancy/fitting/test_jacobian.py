@@ -6,7 +6,12 @@ from discrepancy_clips import exact
 
 from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting import jacobian
-from discrepancy.fitting.jacobian import differentiate_all, differentiate_launches, linearise
+from discrepancy.fitting.jacobian import (
+    differentiate_all,
+    differentiate_launches,
+    differentiate_launches_and_base,
+    linearise,
+)
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.fitting.predict import predict_tracks
@@ -56,11 +61,41 @@ def test_only_free_columns_of_a_launch_are_moved(monkeypatch):
     stretch = next(c for c in cut_stretches(exact(Model(), 1, 3)) if not c.launch[6:].any())
     counts, predict = list[int](), jacobian.predict_tracks
 
-    def spy(model, launches, clips):
+    def spy(model, launches, clips, *base):
         counts.append(len(launches))
-        return predict(model, launches, clips)
+        return predict(model, launches, clips, *base)
 
     monkeypatch.setattr(jacobian, "predict_tracks", spy)
     _, (slopes,) = differentiate_launches(Model(), stretch.launch[None], [stretch])
     assert counts == [5]
     assert slopes.any(axis=(0, 1)).tolist() == [True, True, False, True, True, False, False, False, False]
+
+
+@pytest.mark.parametrize(
+    ("values", "together", "share"),
+    [
+        ({}, 5, 0.0),
+        ({"rolling_drag": 0.0, "rolling_decel": 0.0, "sliding_friction": 0.0}, 5, 0.0),
+        (
+            {"restitution": 1.0, "ball_friction.mu": 0.1, "ball_friction.share": 0.3, "mass_mismatch.excess": 0.01},
+            4,
+            0.0,
+        ),
+        ({"hop.share": 0.1, "hop.bounce": 0.5}, 5, 0.0),
+        ({"rolling_quadratic.K": 0.02, "stribeck.rise": 0.1, "drilling_spin.a": 1e-5}, 5, 1e-7),
+        ({"plate_tilt.x": 5e-4, "friction_mismatch.excess": 0.05}, 5, 1e-7),
+        ({"magnetic_attraction.pull": 0.3}, 0, 0.0),
+    ],
+)
+def test_base_parameters_are_differentiated_together_as_one_by_one(values, together, share):
+    """In two batches; bit for bit, or where motion is integrated but for a share. Not at a limit, nor with a pull."""
+    model, clips = Model().replace(values), exact(Model(), 5, 3)
+    launches = np.array([clip.launch for clip in clips])
+    here, own = differentiate_launches(model, launches, clips)
+    found = differentiate_launches_and_base(model, launches, clips, (*BASE_PARAMETERS, "clock_error.e"), batch=3)
+    shared = dict(zip(BASE_PARAMETERS, differentiate_all(model, launches, clips, BASE_PARAMETERS, here), strict=True))
+    assert len(found[2]) == together
+    assert all(slope.any() for slopes in found[2].values() for slope in slopes)
+    for one, other in ((found[0], here), (found[1], own), *((s, shared[n]) for n, s in found[2].items())):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_allclose(a, b, rtol=0, atol=share * np.abs(b).max())

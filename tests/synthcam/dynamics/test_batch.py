@@ -70,6 +70,30 @@ def test_many_effects_at_once():
     compare(model, launches(8, 4), np.arange(8) % 2 == 1, 1e-12)
 
 
+def test_collisions_of_a_batch_may_differ_in_the_base_model():
+    """Each moves as in a batch of its own model: without losses, with a drag too small for the closed forms, again."""
+    rows = np.concatenate([launches(4), launches(6, 2) * [1, 1, 1, 1, 1, 0.01]])
+    base = {
+        "restitution": [0.9, 1.0, 0.5, 0.9, *[0.36] * 6],
+        "sliding_friction": np.linspace(0.1, 0.4, 10),
+        "spin_transfer": np.linspace(0.0, 0.5, 10),
+        "rolling_drag": [0.0, 0.1, 1e-4, 0.135, *[0.135] * 6],
+        "rolling_decel": [0.0, 0.01, 0.02, 0.5, *[0.0103] * 6],
+    }
+    base = {name: np.array(values) for name, values in base.items()}
+    batch = solve_collisions(Model(), rows, 0.0, END, ends=np.full(10, END), base=base)
+    times, starts = np.linspace(0, END, 61), np.arange(int(END * FPS) - 1) / FPS
+    again = 0
+    for k in range(10):
+        model = Model().replace({name: values[k] for name, values in base.items()})
+        one = solve_collisions(model, rows[[k]], 0.0, END, ends=np.full(1, END))
+        np.testing.assert_allclose(batch.at(times)[:, k], one.at(times)[:, 0], rtol=1e-13, atol=1e-15)
+        means = batch.average_centres(starts, EXPOSURE)[:, k], one.average_centres(starts, EXPOSURE)[:, 0]
+        np.testing.assert_allclose(*means, rtol=1e-13, atol=1e-16)
+        again += len([e for e in alone(model, rows[k]).events if e.kind == "contact"]) > 1
+    assert again > 0
+
+
 def test_balls_that_meet_again():
     """With little restitution the striker catches up; that clip goes to `solve`."""
     model, rows = Model(restitution=0.36), launches(6, 2)

@@ -203,7 +203,7 @@ def land_on_plate(model: Model, state: Array, body: Bodies) -> Array:
         "radius": body.radius,
         "of_a": body.of_a,
     }
-    mu = model.laws("friction", model.sliding_friction, instant)
+    mu = model.laws("friction", body.base_value(model, "sliding_friction"), instant)
     up = rebound * down
     last = up < MIN_BOUNCE_SPEED_M_S
     out = apply_friction_impulse(state, mu * (down + np.where(last, 0.0, up)), body.radius, body.inertia)
