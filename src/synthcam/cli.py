@@ -370,9 +370,10 @@ def doctor(as_json: Json = False) -> None:
     Example: synthcam doctor
     """
     from synthcam.camera.render import gl_info
-    from synthcam.dataset.preview import measure_speed
 
     info: dict[str, Any] = dict(gl_info())
+    from synthcam.dataset.preview import measure_speed  # slow to load, and needless where nothing draws
+
     info["frames_per_second"] = round(measure_speed(), 1)
     text = "\n".join(f"{key}: {value}" for key, value in info.items())
     _print_result(info, as_json, text + "\n(two balls, 640 x 480 px, rendered and exposed by one process)")

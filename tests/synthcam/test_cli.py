@@ -1,9 +1,7 @@
 """The command line: exit statuses, one clear line, nothing half-written."""
 
 import json
-import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -261,16 +259,3 @@ def test_a_film_of_another_kind(command, scene, tmp_path):
     status, _, err = command("preview", scene, "-o", tmp_path / "f.avi")
     assert status == 2
     one_line(err, tmp_path / "f.avi", "expected a name that ends in .png, .gif or .mp4")
-
-
-def test_no_video_needs_no_opengl(scene, tmp_path):
-    """With the importers of OpenGL out of reach."""
-    script = (
-        "import sys; gone = 'pyrender', 'trimesh', 'OpenGL', 'synthcam.camera.render';"
-        "sys.modules.update(dict.fromkeys(gone));"
-        "from synthcam.cli import main; main()"
-    )
-    command = [sys.executable, "-c", script, "generate", str(scene), "-o", str(tmp_path / "d"), "--no-video"]
-    run = subprocess.run([*command, "--workers", "1"], capture_output=True, text=True)
-    assert (run.returncode, run.stderr) == (0, "")
-    assert Path(tmp_path / "d/SHA256SUMS").is_file()

@@ -7,11 +7,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 from processes import alive, until
+from work_of_jobs import LoadsOnlyHere, die, elsewhere, hears_ctrl_c, kill, work
 
 from synthcam_shared import jobs
 from synthcam_shared.errors import InputError
@@ -19,45 +19,10 @@ from synthcam_shared.job_result import JobValue, LostJob
 from synthcam_shared.jobs import run_all_jobs, run_jobs, yield_in_order
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills processes by signals")
-HERE = os.getpid()
-
-
-def work(deadly, number):
-    if number in deadly and os.getpid() != HERE:
-        os.kill(os.getpid(), signal.SIGKILL)
-    if number == 13:
-        raise InputError("unlucky")
-    return os.getpid()
-
-
-def elsewhere(function):
-    """The function, done by this process slowly enough that others do most of it."""
-    return functools.partial(_slow_here, os.getpid(), function)
-
-
-def _slow_here(parent, function, number):
-    if os.getpid() == parent:
-        time.sleep(0.2)
-        return parent
-    return function(number)
-
-
-def kill(deadly, number):
-    if number in deadly:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return os.getpid()
-
-
-def die(number):
-    os._exit(3)
-
-
-def hears_ctrl_c(number):
-    return signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def test_every_number_once_by_this_process_and_others():
-    results = list(run_jobs(functools.partial(work, ()), range(100, 400), 2))
+    results = list(run_jobs(work, range(100, 400), 2))
     assert sorted(result.number for result in results) == list(range(100, 400))
     by = {result.value for result in results}
     assert os.getpid() in by
@@ -97,25 +62,7 @@ def test_workers_that_all_die_are_given_up():
 
 def test_what_work_raises_is_raised_here():
     with pytest.raises(InputError, match="unlucky"):
-        list(run_jobs(elsewhere(functools.partial(work, ())), [12, 13, 14, 15, 16], 2))
-
-
-class LoadsOnlyHere:
-    """Work whose module other processes cannot find, larger than a pipe holds."""
-
-    def __init__(self):
-        self.ballast = b"x" * 2_000_000
-
-    def __call__(self, number):
-        return time.sleep(0.2)
-
-    def __reduce__(self):
-        return _load_here, (os.getpid(), self.ballast)
-
-
-def _load_here(parent, ballast):
-    if os.getpid() != parent:
-        raise ModuleNotFoundError("No module named 'mine'")
+        list(run_jobs(elsewhere(work), [12, 13, 14, 15, 16], 2))
 
 
 def test_work_that_a_process_cannot_load_is_an_error_and_nobody_waits():
@@ -124,7 +71,7 @@ def test_work_that_a_process_cannot_load_is_an_error_and_nobody_waits():
 
 
 def test_left_in_the_middle_no_worker_stays():
-    results = run_jobs(elsewhere(functools.partial(work, ())), range(101, 1000), 3)
+    results = run_jobs(elsewhere(work), range(101, 1000), 3)
     pids = set()
     while len(pids) < 2:  # until both others have answered
         pids |= {next(results).value} - {os.getpid()}

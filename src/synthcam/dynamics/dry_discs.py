@@ -17,7 +17,6 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.special import ellipe, ellipk
 
 from synthcam.dynamics.trajectory import Leg, NumericLeg, RestLeg
@@ -115,6 +114,8 @@ class DryBody:
             change = [a / loss + d for a, d in zip(rates, direction, strict=True)]
             vx, vy, turning = (r * r * d / loss for d in direction)
             return [*change, turns * turning, r / loss, vx, vy]
+
+        from scipy.integrate import solve_ivp  # here alone: slow to load
 
         start = [vx / first, vy / first, gyration * spin / first, 0.0, 0.0, 0.0, 0.0]
         done = solve_ivp(law, (0.0, LAST_LOG), start, method="DOP853", rtol=1e-12, atol=1e-15, dense_output=True)

@@ -3,7 +3,6 @@
 import functools
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +11,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from processes import alive, until
 from typer.testing import CliRunner
 
 from synthcam.cli import app
@@ -220,16 +218,3 @@ def test_killed_or_interrupted_it_goes_on(many, tmp_path, how, workers):
     assert again.exit_code == 0, again.output
     assert 0 < json.loads(again.stdout)["made"] < MANY - 9
     assert sums(out) == sums(many)
-
-
-@pytest.mark.skipif(not Path("/proc").exists(), reason="reads /proc")
-def test_workers_do_not_outlive_a_killed_parent(tmp_path):
-    (tmp_path / "s.yaml").write_text(TEXT)
-    command = [*COMMAND, "generate", str(tmp_path / "s.yaml"), "-o", str(tmp_path / "d"), "--no-video"]
-    first = subprocess.Popen([*command, "--clips", "400", "--workers", "2"], start_new_session=True)
-    while first.poll() is None and len(list(tmp_path.glob("d.partial/clips/[0-9]*[0-9]"))) < 4:
-        time.sleep(0.002)
-    first.kill()
-    first.wait()
-    assert until(lambda: not alive(first.pid))
-    shutil.rmtree(tmp_path / "d.partial")

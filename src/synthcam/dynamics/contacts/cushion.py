@@ -9,7 +9,6 @@ The second ends when the cushion has returned the share e^2 of the work done on 
 import math
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from synthcam.dynamics.contacts.walls import Wall, WallImpact
 from synthcam.dynamics.kinematics import State
@@ -48,6 +47,8 @@ def press_cushion(wall: Wall, plate_friction: float, ball: State, body: Body, re
             *(-turn * (pb + qb), -turn * (pa * sine - qa), turn * pa * cosine),
             abs(b) * cosine,
         ]
+
+    from scipy.integrate import solve_ivp  # here alone: slow to load
 
     def integrate(start: Array, until: int, level: float) -> tuple[float, Array]:
         def reached(_: float, now: Array) -> float:

@@ -14,17 +14,9 @@ def test_gl_info_names_the_renderer():
 
 
 def test_without_opengl_there_is_one_clear_line():
-    code = (
-        "import numpy as np\n"
-        "from synthcam.camera.pinhole import PinholeCamera, Lamp\n"
-        "from synthcam.camera.render import MirrorRenderer, NoGL, gl_info\n"
-        "try: gl_info()\n"
-        "except NoGL as error: print(error)\n"
-    )
-    no_driver = {"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent", "PYOPENGL_PLATFORM": "egl"}
-    for broken in (no_driver, {"PYOPENGL_PLATFORM": "nonsense"}):
-        done = subprocess.run(
-            [sys.executable, "-c", code], env=os.environ | broken, capture_output=True, text=True, check=True
-        )
-        assert done.stdout.startswith("no off-screen OpenGL")
-        assert done.stdout.count("\n") == 1
+    """A platform that is none; the doctor's test has one without a driver."""
+    code = "from synthcam.camera.render import NoGL, gl_info\ntry: gl_info()\nexcept NoGL as error: print(error)\n"
+    broken = os.environ | {"PYOPENGL_PLATFORM": "nonsense"}
+    done = subprocess.run([sys.executable, "-c", code], env=broken, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("no off-screen OpenGL")
+    assert done.stdout.count("\n") == 1
