@@ -6,7 +6,7 @@ A run that was stopped continues: films whose line OUTPUT.jsonl has are not meas
 
 Positions are true ones with 0.05 px noise, unless films are rendered and tracked. The score z is a deviation over its
 standard error. Each column of contacts.parquet has its mean and rms z, and the shares of |z| below 1 and 1.96: 0.68 and
-0.95 are right.
+0.95 are right. Contacts that the tracker marks as misfits count for their times and kicks only.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def match(true: pd.DataFrame, found: pd.DataFrame) -> pd.DataFrame:
         out += [
             {"column": name, "value": best[name], "std": best[f"{name}_std"], "truth": event[name], "gap": gap}
             for name in names
-            if np.isfinite(best[name])
+            if np.isfinite(best[name]) and (name in ("t_s", "kick") or not best["misfit"])
         ]
     return pd.DataFrame(out, columns=["column", "value", "std", "truth", "gap"])
 

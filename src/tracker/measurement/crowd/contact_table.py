@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from tracker.detection.link import Tracks
 from tracker.measurement.camera_errors import shared_effects
 from tracker.measurement.crowd.track_contacts import NO_BALL, TrackContact, find_track_contacts
 from tracker.measurement.local.local_columns import find_covariance
+from tracker.measurement.local.local_estimate import LOCAL_NAMES
 from tracker.measurement.local.recommendation import COMPARED, LOCAL, NONE, SUFFIXES, find_recommended_suffix, is_known
 from tracker.measurement.positions import to_ball_tracks
 from tracker.measurement.random_effects import RandomEffects, fit_random_effects
@@ -80,9 +82,14 @@ def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:
         return out
     cov = find_covariance(row) if suffix == SUFFIXES[LOCAL] else np.diag(std[:4] ** 2)
     has_s = bool(np.isfinite([value[3], std[3]]).all())
-    if not has_s:  # a contact that is almost head-on
+    if not has_s and suffix == SUFFIXES[LOCAL] and abs(value[1]) > 3 * std[1]:
+        value[3] = json.loads(row["local"])["value"][LOCAL_NAMES.index("s")]  # too uncertain for a column of its own
+        has_s = bool(np.isfinite(value[3]))
+    if not has_s:  # a contact that is almost head-on: friction between the balls may push as far as this
+        usual_friction = 0.2
+        most = usual_friction * (1 + value[2]) * np.sqrt(max(1 - value[1] ** 2, 0.0)) / max(abs(value[1]), 1e-9)
         cov[3] = cov[:, 3] = 0.0
-        value[3], cov[3, 3] = 5 / 7, 0.3**2
+        value[3], cov[3, 3] = 1.0, most**2
     derived = dict(zip(DERIVED, zip(*derive_with_errors(value[:4], cov), strict=True), strict=True))
     if not has_s:
         del derived["mu_bb"]

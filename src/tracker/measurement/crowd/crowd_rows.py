@@ -7,7 +7,9 @@ from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
+from scipy.special import ndtr
 
+from synthcam_shared.arrays import Array
 from synthcam_shared.steps import report_step
 from tracker.camera.camera import Camera
 from tracker.camera.camera_json import BODIES
@@ -17,8 +19,8 @@ from tracker.measurement.collision.contacts import Contact, ContactCandidate, pr
 from tracker.measurement.crowd.track_contacts import TrackContact
 from tracker.measurement.local.descents import FitInSteps, run_together
 from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate, estimate_in_steps
-from tracker.measurement.local.local_fit import MAY_ROLL
-from tracker.measurement.local.local_problem import KnownSlide
+from tracker.measurement.local.local_fit import BEFORE
+from tracker.measurement.local.local_problem import KnownEnd, KnownSlips
 from tracker.measurement.local.stretches import SLIDE_AND_ROLL
 from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
@@ -95,7 +97,7 @@ def _share_friction(
     part of their error because short slides are all modelled in one way. The friction of the estimate is that which its
     contact alone shows, so that a mean does not count the film's again.
     """
-    slide_share = 0.3  # of the errors of r and mu_k that all contacts share, by benchmarks.tracker.crowd_contacts
+    slide_share = 0.1  # of the errors of r and mu_k that all contacts share, by benchmarks.tracker.crowd_contacts
     if isinstance(estimate, str) or estimate.glides:
         return estimate
     value, cov, response = estimate.value.copy(), estimate.cov.copy(), estimate.response.copy()
@@ -131,15 +133,16 @@ def _estimate_in_steps(
             return None, prepared.reason
         pair = prepared.pair
         sliding = [_still_slides(track, contact, found, settings) for _, track in pair.balls]
-        if all(sliding):
+        members = [track.particle for _, track in pair.balls]
+        first, second = (_know_end(ball, contact, found, own) for ball in members)
+        ends = first if sliding[0] else None, second if sliding[1] else None
+        if all(sliding) and None in ends:
             return prepared, "both balls still slide from an earlier contact"
-        if sliding[0]:  # only the striker may slide before the hit; roles do not change what is measured
-            pair = replace(pair, struck=pair.striker, striker=pair.struck, target_moves=True)
-        prepared = replace(prepared, pair=pair)
-        struck, striking = (track.particle for _, track in pair.balls)
-        slides = _know_slide(struck, contact, own, slid=False), _know_slide(striking, contact, own, slid=any(sliding))
-        striker = (SLIDE_AND_ROLL,) if any(sliding) else MAY_ROLL  # a short slide looks like a roll
-        return prepared, (yield from estimate_in_steps(prepared, camera, (1.0, 1.0), slides, striker))
+        if sliding[0]:
+            prepared = replace(prepared, pair=replace(pair, target_moves=True))
+        slips = _know_slips(members, contact, found, own)
+        before = [(SLIDE_AND_ROLL,) if slid else usual for slid, usual in zip(sliding, BEFORE, strict=True)]
+        return prepared, (yield from estimate_in_steps(prepared, camera, (1.0, 1.0), slips, ends, before))
     except (ArithmeticError, ValueError, IndexError) as error:  # one contact never costs the others
         return None, describe_failure(error)
 
@@ -153,23 +156,64 @@ def _slide_duration(contact: TrackContact, settings: FitSettings, particle: int 
     return 2 * (slip if np.isfinite(slip) else contact.kick) / (7 * settings.local_friction * GRAVITY)
 
 
-def _know_slide(particle: int, contact: TrackContact, settings: FitSettings, *, slid: bool) -> KnownSlide | None:
-    """What the contact shows of the slide of a ball after it; slid: whether the ball slid before.
-
-    The errors are those of slips in films of known truth. A slide costs 2/7 of the slip, whatever the friction. So the
-    duration has no error by the friction, where the film shows that.
-    """
-    share = 0.4 if slid else 0.1  # error of either component of a slip, over the kick
-    turn, factor = 0.1, 0.05  # least errors of the direction, rad, and of the logarithm of the duration
-    friction = settings.local_friction_factor if settings.local_friction_factor > FILM_FRICTION_FACTOR else 0.0
-    slip = contact.slips[contact.balls.index(particle)]
-    size = float(np.hypot(*slip))
-    if not size > 0:
+def _know_slips(
+    balls: Sequence[int], contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings
+) -> KnownSlips | None:
+    """What is known of the slips of both balls of a contact just after it."""
+    least = 0.01  # error of either component of a slip, over the kick
+    slips = contact.slips[[contact.balls.index(ball) for ball in balls]]
+    if not np.hypot(*slips.T).min() > 0:
         return None
-    relative = share * contact.kick / size
-    lasts = _slide_duration(contact, settings, particle)
-    errors = float(np.hypot(turn, relative)), float(np.linalg.norm([factor, relative, friction]))
-    return KnownSlide(lasts, errors[1], float(np.arctan2(*-slip[::-1])), min(errors[0], ANY_TURN))
+    left, left_std = zip(*(_find_left(ball, contact, found, settings) for ball in balls), strict=True)
+    share, share_std = contact.spin_transfer
+    return KnownSlips(
+        slips=slips,
+        left=np.array(left),
+        left_std=left_std,
+        normal=contact.normal,
+        share=share,
+        drag_std=share_std * abs(contact.surface_speed),
+        std=least * contact.kick,
+    )
+
+
+def _find_left(
+    particle: int, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings
+) -> tuple[Array, float]:
+    """What is left of the slip of a ball from the contact before this one, m/s, and its error."""
+    last, end = _find_last(particle, contact, found), _know_end(particle, contact, found, settings)
+    if last is None or end is None:
+        return np.zeros(2), 0.0
+    slip, lasts = last.slips[last.balls.index(particle)], contact.time - last.time - end.rolls
+    left = slip * max(-end.rolls / lasts, 0.0)
+    return left, float(np.hypot(*slip)) * end.rolls_std / lasts * float(ndtr(-end.rolls / end.rolls_std))
+
+
+def _find_last(particle: int, contact: TrackContact, found: Sequence[TrackContact]) -> TrackContact | None:
+    """The contact of a ball before this one."""
+    return next((c for c in reversed(found) if particle in c.balls and c.time < contact.time), None)
+
+
+def _know_end(
+    particle: int, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings
+) -> KnownEnd | None:
+    """What the contact before shows of a ball's slide up to this one.
+
+    The error of its slip is that in films of known truth.
+    """
+    last = _find_last(particle, contact, found)
+    size = 0.0 if last is None else float(np.hypot(*last.slips[last.balls.index(particle)]))
+    if last is None or not size > 0:
+        return None
+    share = 0.3 if _end_slide(particle, last, found, settings) > last.time else 0.1  # error of a slip over the kick
+    relative = share * last.kick / size
+    lasts = _slide_duration(last, settings, particle)
+    return KnownEnd(
+        towards=float(np.arctan2(*-last.slips[last.balls.index(particle)][::-1])),
+        turn=min(relative, ANY_TURN),
+        rolls=contact.time - last.time - lasts,
+        rolls_std=lasts * float(np.hypot(relative, settings.local_friction_factor)),
+    )
 
 
 def _seen_slide(contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings) -> float:
@@ -188,8 +232,8 @@ def _still_slides(
 
 def _end_slide(particle: int, contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings) -> float:
     """The instant until which a ball may slide from its contact before this one, s."""
-    before = [c for c in found if particle in c.balls and c.time < contact.time]
-    return before[-1].time + 1.5 * _slide_duration(before[-1], settings, particle) if before else -np.inf
+    last = _find_last(particle, contact, found)
+    return -np.inf if last is None else last.time + 1.5 * _slide_duration(last, settings, particle)
 
 
 def _cut(

@@ -29,6 +29,8 @@ class ContactFinderSettings:
     most_slides: int = 15  # of those with the greatest evidence
     most_worse: float = 3.0  # log-likelihood of each that the smaller curvature may cost
     spin_transfer: float = 0.3  # share of the relative speed of the surfaces that a contact gives to a spin
+    spin_transfer_std: float = 0.3
+    least_spin_transfer_std: float = 0.03  # of one that a film shows, because it may differ between contacts
     distance_share: float = 0.016  # error of the distance at which balls touch, diameters
     near_share: float = 0.05  # farther than a diameter by this, balls do not touch
     prior_log_odds: float = -10.0  # of a contact at a position and time at which one is searched

@@ -49,6 +49,8 @@ class TrackContact:
     gain: float  # chi^2 by which the contact fits better than none
     confidence: float  # a score from 0 to 1 that grows with `gain`; it is no calibrated probability
     slips: Array  # (balls, 2) m/s, of the lowest points just after, against which balls slide; NaN if unknown, 0 on air
+    spin_transfer: tuple[float, float]  # share of the surfaces' relative speed that goes to the spins, and its error
+    surface_speed: float  # m/s, that relative speed of balls that roll: the sum of their speeds along the normal
 
     @property
     def balls(self) -> tuple[int, ...]:
@@ -193,8 +195,14 @@ def _fit_friction(found: Sequence[TrackContact], balls: dict[int, BallTrack], fi
     mu, c = start.friction, start.spin_transfer
     friction = minimise(lambda x: misfit(x, c) + (np.log(x / mu) / np.log(2)) ** 2 / 2, mu / 8, mu * 4, 0.01)
     most = 5 / 14  # of balls whose surfaces stick to one another
-    transfer = minimise(lambda x: misfit(friction, x) + ((x - c) / c) ** 2 / 2, 0.0, most, 0.04)
-    found_settings = replace(settings, friction=friction, spin_transfer=transfer)
+
+    def price(x: float) -> float:
+        return misfit(friction, x) + ((x - c) / start.spin_transfer_std) ** 2 / 2
+
+    transfer, step = minimise(price, 0.0, most, 0.04), 0.1
+    bend = (price(transfer + step) + price(transfer - step) - 2 * price(transfer)) / step**2
+    error = max(1 / np.sqrt(max(bend, 1 / start.spin_transfer_std**2)), settings.least_spin_transfer_std)
+    found_settings = replace(settings, friction=friction, spin_transfer=transfer, spin_transfer_std=float(error))
     worse = misfit(friction, transfer) - misfit(friction, transfer, start.curvature)
     if worse > settings.most_worse * len(best):  # other forces bend the paths
         return found_settings
@@ -343,4 +351,18 @@ def _judge(pair: tuple[int, ...], found: ContactFits, film: _Film) -> TrackConta
         error = float(np.hypot(error, settings.slide_share * kick))
     other = pair[1] if len(pair) == 2 else NO_BALL
     when, when_std = float(found.time), float(found.time_std)
-    return TrackContact(when, when_std, pair[0], other, place, normal, kick, error, gain, confidence, found.slips)
+    return TrackContact(
+        time=when,
+        time_std=when_std,
+        one=pair[0],
+        other=other,
+        xy=place,
+        normal=normal,
+        kick=kick,
+        kick_std=error,
+        gain=gain,
+        confidence=confidence,
+        slips=found.slips,
+        spin_transfer=(settings.spin_transfer, settings.spin_transfer_std),
+        surface_speed=float(np.nansum(found.before @ normal)),
+    )

@@ -246,13 +246,19 @@ class ProblemStack:
         self.spans = np.array([p.spans for p in problems])
         self.known, self.by_known = (np.stack(part) for part in zip(*(p.known for p in problems), strict=True))
         self.square_of_known = np.swapaxes(self.by_known, 1, 2) @ self.by_known
-        self.slides = [k for k in range(len(self.sides)) if self.one.slides_first(k)]
+        self.turns, self.slips = self.one.turns, self.one.slips
         priors = [p.priors for p in problems]
         self.diameter = np.array([p.diameter for p in priors])
         self.distance_error = np.array([p.distance_share * p.diameter for p in priors])
-        self.turn = np.array([[p.find_turn(k) for k in self.slides] for p in problems])  # (m, slides) rad
-        known = [[p.priors.slides[p.stretches[k].ball - 1] for k in self.slides] for p in problems]
-        self.towards = np.array([[np.nan if one is None else one.towards for one in each] for each in known])
+        self.turn = np.array([[p.find_turn(k) for k in self.turns] for p in problems])  # (m, turns) rad
+        ends = [[p.find_end(k) for k in self.turns] for p in problems]
+        self.towards = np.array([[np.nan if end is None else end.towards for end in each] for each in ends])
+        if self.slips:
+            slips = [p.priors.slips for p in problems]
+            # (m, 4, 4), (m, 2, 2), (m, 2, 2)
+            self.whiten, self.drag, self.left = (
+                np.array([getattr(one, name) for one in slips]) for name in ("whiten", "drag", "left")
+            )
 
     def sum_squares(self, x: Array, which: Ints) -> tuple[Array, Array, Array]:
         """Sums of squared whitened residuals r (m,), of their derivatives J times r (m, n), and of J by J (m, n, n).
@@ -260,7 +266,7 @@ class ProblemStack:
         x (m, n): parameters of these problems (m,).
         """
         known, by = self._weigh_known(x, which)
-        curved = by[:, : 1 + len(self.slides)]  # the other rows are always the same
+        curved = by[:, : 1 + len(self.turns) + 2 * len(self.slips)]  # the other rows are always the same
         square = self.square_of_known[which] + np.swapaxes(curved, 1, 2) @ curved
         cost, pull = (known**2).sum(axis=1), (known[:, None] @ by)[:, 0]
         for k, (rows, columns) in enumerate(self.parts):
@@ -314,9 +320,41 @@ class ProblemStack:
         known[:, 0] = (apart - self.diameter[which]) / error  # of the distance at which the bodies touch
         by[:, 0, 1:3] = gap / apart[:, None] / error[:, None]
         by[:, 0, 3:5] = -by[:, 0, 1:3]
-        for row, k in enumerate(self.slides, 1):
+        for row, k in enumerate(self.turns, 1):
             self._add_friction_direction(x, which, k, known, by, row)
+        if self.slips:
+            rows = slice(1 + len(self.turns), 1 + len(self.turns) + 2 * len(self.slips))
+            self._add_slips(x, which, known[:, rows], by[:, rows])
         return known, by
+
+    def _add_slips(self, x: Array, which: Ints, known: Array, by: Array) -> None:
+        """Add the residuals (m, 4) of slips that are known, and their derivatives (m, 4, n).
+
+        A slide costs two sevenths of the slip. The slip follows from the velocities just before and after the contact,
+        as `KnownSlips` says.
+        """
+        one, drag, left = self.one, self.drag[which], self.left[which]
+        off, slope = np.zeros((len(x), 4)), np.zeros(by.shape)
+        for number, k in enumerate(self.slips):
+            own, at, span = one.stretches[k].ball, one.start[k], self.spans[which, k]
+            rows, motion = slice(2 * number, 2 * number + 2), one.values(x, k, span)
+            tau, pull = np.exp(x[:, at + 6])[:, None], motion[:, 4:6]
+            lost = 3.5 * tau - np.minimum(tau, span[:, None])
+            off[:, rows] = 3.5 * tau * pull + motion[:, 2:4] + left[:, own - 1]
+            off[:, rows] -= (drag @ left.sum(axis=1)[..., None])[..., 0]
+            slope[:, rows, at + 2 : at + 4] = np.eye(2)
+            slope[:, rows, 5] = slope[:, rows, at + 4] = lost * pull
+            slope[:, rows, at + 5] = lost * np.column_stack([-pull[:, 1], pull[:, 0]])
+            slope[:, rows, at + 6] = (3.5 - (tau < span[:, None])) * tau * pull
+            for ball in (1, 2):
+                before = one.find_stretch(ball, after=False)
+                if one.motions[before].moves:
+                    goes = slice(one.start[before] + 2, one.start[before] + 4)
+                    share = drag - np.eye(2) * (ball == own)
+                    off[:, rows] += (share @ x[:, goes, None])[..., 0]
+                    slope[:, rows, goes] = share
+        known[:] = (self.whiten[which] @ off[..., None])[..., 0]
+        by[:] = self.whiten[which] @ slope
 
     def _add_friction_direction(self, x: Array, which: Ints, k: int, known: Array, by: Array, row: int) -> None:
         """Add the residual and the derivatives of the direction of friction.
@@ -324,6 +362,11 @@ class ProblemStack:
         Unless it is known, a ball that rolled or rested returns towards its velocity before the hit, apart from the
         spin that the friction between the bodies adds. That of a ball that slid is all but unknown.
         """
+        if not self.one.stretches[k].after:
+            at = self.one.start[k] + 5
+            known[:, row] = _turn_between(x[:, at], self.towards[which, row - 1]) / self.turn[which, row - 1]
+            by[:, row, at] = 1 / self.turn[which, row - 1]
+            return
         one = self.one
         before = one.find_stretch(one.stretches[k].ball, after=False)
         at, from_ = one.start[k], one.start[before]
@@ -332,15 +375,17 @@ class ProblemStack:
         way = old - now
         size = np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9)
         share = (np.hypot(old[:, 0], old[:, 1]) + np.hypot(now[:, 0], now[:, 1])) / size
-        towards, error = self.towards[which, row - 1], self.turn[which, row - 1]
-        guessed = np.isnan(towards)
-        error = np.where(guessed, np.hypot(0.1 * share, error), error)
-        off = x[:, at + 5] - np.where(guessed, np.arctan2(way[:, 1], way[:, 0]), towards)
-        known[:, row] = ((off + np.pi) % (2 * np.pi) - np.pi) / error
-        turn = np.column_stack([-way[:, 1], way[:, 0]]) * (guessed / (size**2 * error))[:, None]
+        error = np.hypot(0.1 * share, self.turn[which, row - 1])
+        known[:, row] = _turn_between(x[:, at + 5], np.arctan2(way[:, 1], way[:, 0])) / error
+        turn = np.column_stack([-way[:, 1], way[:, 0]]) / (size**2 * error)[:, None]
         by[:, row, at + 5], by[:, row, at + 2 : at + 4] = 1 / error, turn
         if moved:
             by[:, row, from_ + 2 : from_ + 4] = -turn
+
+
+def _turn_between(angle: Array, other: Array) -> Array:
+    """Angles less other ones, rad, from -pi to pi."""
+    return np.asarray((angle - other + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _list_parameters(problem: LocalProblem, k: int) -> tuple[Ints, Ints]:

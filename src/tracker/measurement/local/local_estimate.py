@@ -18,7 +18,7 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_ea
 from tracker.measurement.collision.staying_together import fit_slope
 from tracker.measurement.local.descents import FitInSteps, follow_displacements, run_alone
 from tracker.measurement.local.local_fit import (
-    MAY_ROLL,
+    BEFORE,
     choose_window,
     fit_motions,
     guess_contact,
@@ -26,7 +26,7 @@ from tracker.measurement.local.local_fit import (
     shows_end,
     weigh_by_residuals,
 )
-from tracker.measurement.local.local_problem import KnownSlide, LocalPriors, LocalSolution
+from tracker.measurement.local.local_problem import KnownEnd, KnownSlips, LocalPriors, LocalSolution
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, cut_stretch
 from tracker.measurement.positions import measure_separation
 
@@ -75,14 +75,16 @@ def estimate_in_steps(
     contact: Contact,
     camera: Camera,
     masses: tuple[float, float],
-    slides: tuple[KnownSlide | None, KnownSlide | None] = (None, None),
-    striker: Sequence[MotionKind] = MAY_ROLL,
+    slips: KnownSlips | None = None,
+    ends: tuple[KnownEnd | None, KnownEnd | None] = (None, None),
+    before: Sequence[Sequence[MotionKind]] = BEFORE,
 ) -> FitInSteps[LocalEstimate | str]:
     """Estimate one collision from free motion near the contact, or give the reason why that is impossible.
 
     masses: of ball 1 and ball 2, in any unit.
-    slides: of ball 1 and ball 2 after the contact, if other positions show them.
-    striker: motions that ball 2 may have on a plate before the contact.
+    slips: of ball 1 and ball 2 after the contact, if they are known.
+    ends: of the slides of ball 1 and ball 2 before the contact, if other contacts show them.
+    before: motions that ball 1 and ball 2 may have on a plate before the contact.
     """
     rests = not contact.pair.target_moves
     glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
@@ -90,7 +92,7 @@ def estimate_in_steps(
     settings = contact.pair.settings
     friction = {"friction": settings.local_friction, "friction_factor": settings.local_friction_factor}
     loss = settings.local_rolling_loss_m_s2
-    known = LocalPriors(contact.pair.diameter, **friction, loss=loss, slides=slides)
+    known = LocalPriors(contact.pair.diameter, **friction, loss=loss, slips=slips, ends=ends)
     on_plate = False in glides
     simple_after = (SLIDE, SLIDE_AND_ROLL) if on_plate else (SLIDE,)
     simple_before = (ROLL, *simple_after) if on_plate else (SLIDE,)
@@ -108,7 +110,7 @@ def estimate_in_steps(
             for s in whole
         ]
         priors = _allow_for_duration(known, stretches, contact, camera)
-        found = yield from fit_motions(stretches, instant, rests, glides, priors, striker)
+        found = yield from fit_motions(stretches, instant, rests, glides, priors, before)
         late, instant = float(found[0].x[0]) - instant, float(found[0].x[0])
         again = _cut_stretches(contact, camera, instant)
         same = all(len(a) == len(b) for a, b in zip(whole, again, strict=True))
@@ -299,7 +301,7 @@ def _list_unseen(solution: LocalSolution) -> list[str]:
             ball = stretch.ball
             if not shows_end(solution, k):
                 out += [f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "C", *after_slides]
-        elif stretch.ball == 2 and motion.pushed:
+        elif not stretch.after and motion.pushed:
             out += ["C", "w1n", "w1t", "w2n", "w2t"]
     return out
 

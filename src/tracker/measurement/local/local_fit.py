@@ -19,10 +19,10 @@ from synthcam_shared.arrays import Array, Flags
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.descents import Descent, FitInSteps
 from tracker.measurement.local.lasting_errors import measure_variances
-from tracker.measurement.local.local_problem import LocalPriors, LocalProblem, LocalSolution
+from tracker.measurement.local.local_problem import KnownEnd, LocalPriors, LocalProblem, LocalSolution
 from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch
 
-MAY_ROLL = ROLL, SLIDE_AND_ROLL, SLIDE  # motions of a striking ball before the contact
+BEFORE = (ROLL,), (ROLL, SLIDE_AND_ROLL, SLIDE)  # motions of ball 1 and ball 2, which strikes, before the contact
 LEAST_WEIGHT = 0.01  # of those, over the weight of the best
 MAX_COST = 16.0  # beyond that of the best duration of a slide
 ROUGH_GAIN = 0.01  # of the cost, with which a descent ends whose solution is solved again
@@ -139,11 +139,11 @@ def _line(stretch: Stretch, contact: float) -> tuple[Array, Array]:
 
 
 def list_motions(
-    stretches: Sequence[Stretch], rests: bool, glide: bool, striker: Sequence[MotionKind] = MAY_ROLL
+    stretches: Sequence[Stretch], rests: bool, glide: bool, before: Sequence[Sequence[MotionKind]] = BEFORE
 ) -> Iterator[tuple[MotionKind, ...]]:
     """List the motions that the stretches of a local fit may have, on air (glide) or on a plate.
 
-    striker: motions that the striking ball may have on a plate before the contact, the simplest first.
+    before: motions that ball 1 and ball 2 may have on a plate before the contact, the simplest first.
     """
     choices: list[tuple[MotionKind, ...]] = []
     for s in stretches:
@@ -154,7 +154,7 @@ def list_motions(
         elif s.after:
             choices.append((SLIDE_AND_ROLL,))
         else:
-            choices.append(tuple(striker) if s.ball == 2 else (ROLL,))
+            choices.append(tuple(before[s.ball - 1]))
     yield from product(*choices)
 
 
@@ -164,7 +164,7 @@ def fit_motions(
     rests: bool,
     glides: Sequence[bool],
     priors: LocalPriors,
-    striker: Sequence[MotionKind] = MAY_ROLL,
+    before: Sequence[Sequence[MotionKind]] = BEFORE,
 ) -> FitInSteps[list[LocalSolution]]:
     """Fit the motions that the stretches may have, the simplest first, until one describes the positions.
 
@@ -172,7 +172,7 @@ def fit_motions(
     """
     found: list[LocalSolution] = []
     for glide in glides:
-        for motions in list_motions(stretches, rests, glide, striker):
+        for motions in list_motions(stretches, rests, glide, before):
             problem = LocalProblem(tuple(stretches), motions, priors, glide)
             x = np.zeros(problem.size)
             x[0], x[5], x[6] = contact, np.log(priors.friction), priors.loss
@@ -183,6 +183,13 @@ def fit_motions(
                     own[2:4] += own[4:6] * min(float(np.exp(own[6])), problem.spans[k])
                 if problem.rubs(k):
                     own[4:6] = 0.0, np.arctan2(own[5], own[4])
+                end = problem.find_end(k)
+                if priors.slips is not None and k in problem.slips:
+                    lasts = priors.slips.find_duration(s.ball, priors.friction)
+                    own[5], own[6] = np.arctan2(*-priors.slips.slips[s.ball - 1, ::-1]), np.log(lasts)
+                if end is not None:
+                    own[:4] = fit_single_stretch(s, contact, ROLL).values[:4]
+                    own[5], own[6] = end.towards, np.log(max(end.rolls, 0.1 * problem.spans[k]))
                 x[problem.start[k] : problem.start[k + 1]] = own
                 places[s.ball].append(own[:2])
             for ball, own_places in places.items():
@@ -349,6 +356,9 @@ def _solve_with_durations(
     [found] = yield [
         Descent(problems, np.array(starts), parts[0][1].sizes, steps=8, hopeless=1.5 * MAX_COST, least_gain=3e-3)
     ]
+    if k in parts[0][1].problem.slips:  # a slip has two components, so that a small one is unlikely
+        at = parts[0][1].problem.start[k]
+        logs = [log + 2 * float(one.x[5] + one.x[at + 4] + one.x[at + 6]) for log, one in zip(logs, found, strict=True)]
     return list(zip(logs, found, strict=True))
 
 
@@ -368,9 +378,11 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
     """List durations of one slide: two below the first position, cells, and one above the stretch.
 
     The cells divide only the durations with which the stretch alone fits hardly worse than with the best. Wider cells
-    could change the velocity by many errors from one to the next. Before a contact the durations are those of the roll.
-    Their prior is uniform over the stretch, because a hit comes at any time after the slide. may_slide_on: the slide
-    may also last up to the contact, which is the first cell, with the probability of `_find_share_of_slides`.
+    could change the velocity by many errors from one to the next. The prior of their logarithms is even where the slip
+    is known, because that tells which of them are likely. Before a contact the durations are those of the roll. Unless
+    the end of the slide is known, their prior is uniform over the stretch, because a hit comes at any time after the
+    slide. may_slide_on: the slide may also last up to the contact, which is the first cell, with the probability of
+    `_find_share_of_slides`.
     """
     priors, stretch = solution.problem.priors, solution.problem.stretches[k]
     since = np.abs(stretch.time - solution.x[0])
@@ -389,33 +401,41 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
     if len(seen):
         low, high = inside[max(seen[0] - 1, 0)], inside[min(seen[-1] + 1, len(inside) - 1)]
     ends = np.concatenate([[1e-3 * first, first / 3, first], np.linspace(low, high, durations + 1), [last, 2 * last]])
-    usual, factor = solution.problem.find_duration(k) if stretch.after else (1.0, 1.0)
-    if stretch.after:
-        below = ndtr((np.log(np.append(ends[:-1], np.inf)) - np.log(usual)) / factor)
+    end = solution.problem.find_end(k)
+    if k in solution.problem.slips:
+        below = np.log(ends)
+    elif stretch.after:
+        below = ndtr((np.log(np.append(ends[:-1], np.inf)) - np.log(priors.slide_s)) / priors.slide_factor)
         below[0] = 0.0
     else:
         ends = np.append(1e-5 * first, ends)  # the first cell is a slide up to the contact
         share = _find_share_of_slides(solution, k, last) if may_slide_on else 0.0
-        below = np.append(0.0, share + (1 - share) * np.minimum(ends[1:] / last, 1.0))
+        ended = np.minimum(ends[1:] / last, 1.0)
+        below = np.append(
+            0.0, share + (1 - share) * ended if end is None else ndtr((ends[1:] - end.rolls) / end.rolls_std)
+        )
     middles, widths = (ends[1:] + ends[:-1]) / 2, np.diff(ends) / np.sqrt(12)
-    if stretch.after and priors.slides[stretch.ball - 1] is not None:  # narrower than a cell
-        middles, widths = _narrow_cells(ends, middles, widths, usual, factor)
+    if end is not None:  # perhaps narrower than a cell
+        middles, widths = _narrow_cells(ends, middles, widths, end)
     enough = np.any(fits(np.concatenate([ends[:-1], middles, ends[1:]])).reshape(3, -1), axis=0)
     log_priors = np.log(np.maximum(np.diff(below), 1e-12))
     cells = zip(middles.tolist(), (widths / middles).tolist(), log_priors.tolist(), strict=True)
     return [SlideDuration(*cell) for cell, known in zip(cells, enough & (widths > 0), strict=True) if known]
 
 
-def _narrow_cells(ends: Array, middles: Array, widths: Array, usual: float, factor: float) -> tuple[Array, Array]:
-    """Means and standard deviations of a lognormal duration in each cell; those given, where it all but never lies.
+def _narrow_cells(ends: Array, middles: Array, widths: Array, end: KnownEnd) -> tuple[Array, Array]:
+    """Means and standard deviations of a normal duration in each cell; those given, where it all but never lies.
 
-    usual: its median, s. factor: standard deviation of its logarithm. ends: of the cells.
+    ends: of the cells. The first cell is a slide up to the contact, and stays.
     """
     least_share = 1e-6  # of the probability
-    at = np.log(ends / usual) / factor
-    share, first, second = (np.diff(ndtr(at - n * factor)) * np.exp((n * factor) ** 2 / 2) for n in range(3))
+    at = (ends - end.rolls) / end.rolls_std
+    share, density = np.diff(ndtr(at)), np.exp(-(at**2) / 2) / np.sqrt(2 * np.pi)
     known = share > least_share
-    mean = usual * first / np.where(known, share, 1.0)
-    variance = usual**2 * second / np.where(known, share, 1.0) - mean**2
+    known[0] = False
+    share = np.where(known, share, 1.0)
+    shift = -np.diff(density) / share
+    mean = end.rolls + end.rolls_std * shift
+    variance = end.rolls_std**2 * (1 - np.diff(at * density) / share - shift**2)
     narrow = np.sqrt(np.maximum(variance, (0.01 * mean) ** 2))
     return np.where(known, mean, middles), np.where(known, narrow, widths)

@@ -21,13 +21,51 @@ from tracker.measurement.local.stretches import MotionKind, Stretch
 
 
 @dataclass(frozen=True)
-class KnownSlide:
-    """What other positions show of the slide of a body after the contact."""
+class KnownSlips:
+    """What is known of the slips of both balls just after a contact. They slide until two sevenths of these are lost.
 
-    lasts: float  # s
-    factor: float  # error of its logarithm
-    towards: float  # rad, the direction in which friction pushes the body
+    A slip is what is left of an earlier one, plus the change of the ball's velocity, plus what the surfaces of both
+    balls drag one another along the line of centres: a share of the sum of the speeds with which both roll along it.
+    Arrays have a row for each ball.
+    """
+
+    slips: Array  # (2, 2) m/s, estimated before the fit
+    left: Array  # (2, 2) m/s, what is left of earlier slips
+    left_std: tuple[float, float]  # of either component
+    normal: Array  # (2,) unit vector along the line of centres
+    share: float  # of the sum of both speeds along it
+    drag_std: float  # m/s, by the error of the share
+    std: float  # m/s, any other error of a component
+
+    @cached_property
+    def drag(self) -> Array:
+        """The matrix (2, 2) by which the sum of both velocities without slips gives the drag of the surfaces."""
+        return np.asarray(self.share * np.outer(self.normal, self.normal))
+
+    @cached_property
+    def whiten(self) -> Array:
+        """The matrix (4, 4) that makes the errors of both slips independent and of size 1."""
+        cov = self.std**2 * np.eye(4)
+        alike = self.drag_std * np.tile(self.normal, 2)
+        cov += np.outer(alike, alike)
+        for ball, std in enumerate(self.left_std):
+            effect = np.vstack([np.eye(2) * (own == ball) - self.drag for own in (0, 1)])
+            cov += std**2 * effect @ effect.T
+        return np.linalg.inv(np.linalg.cholesky(cov))
+
+    def find_duration(self, ball: int, friction: float) -> float:
+        """Find the duration of the slide of ball 1 or 2 on a plate of this friction, s."""
+        return 2 * float(np.hypot(*self.slips[ball - 1])) / (7 * friction * GRAVITY)
+
+
+@dataclass(frozen=True)
+class KnownEnd:
+    """What an earlier contact shows of a slide that lasts into the positions before this contact."""
+
+    towards: float  # rad, the direction in which friction pushes the ball
     turn: float  # rad, its error
+    rolls: float  # s, how long the ball has rolled at the contact; negative if it still slides
+    rolls_std: float
 
 
 @dataclass(frozen=True)
@@ -43,7 +81,8 @@ class LocalPriors:
     turn: float = 0.5  # rad, of friction from the direction in which a ball that did not slide is slowed or sped up
     slide_s: float = 0.1  # duration of a slide
     slide_factor: float = 3.0  # error of its logarithm
-    slides: tuple[KnownSlide | None, KnownSlide | None] = (None, None)  # those of ball 1 and ball 2, if known better
+    slips: KnownSlips | None = None  # just after the contact, if they are known
+    ends: tuple[KnownEnd | None, KnownEnd | None] = (None, None)  # of slides of ball 1 and ball 2 before it, likewise
     roll_s: float = 0.1  # how long a ball has rolled before the contact, after a slide
     roll_factor: float = 3.0  # error of its logarithm
     loss: float = 0.05  # of rolling, m/s^2; its error is as large
@@ -81,7 +120,8 @@ class LocalProblem:
     @property
     def form(self) -> tuple[object, ...]:
         """What problems must have in common to be solved together: motions, and the side that each stretch shows."""
-        return (self.motions, self.glide, tuple((s.ball, s.after) for s in self.stretches))
+        known = tuple(each is None for each in (self.priors.slips, *self.priors.ends))
+        return (self.motions, self.glide, tuple((s.ball, s.after) for s in self.stretches), known)
 
     def values(self, x: Array, k: int, span: Array | None = None) -> Array:
         """The parameters (..., size) of a stretch, with its place at the contact, of all parameters (..., n).
@@ -109,18 +149,30 @@ class LocalProblem:
         """
         return self.stretches[k].after and self.motions[k].ends
 
-    def find_duration(self, k: int) -> tuple[float, float]:
-        """Find the duration of the slide of a stretch after the contact that is known, s, and its log error."""
-        slide = self.priors.slides[self.stretches[k].ball - 1]
-        return (self.priors.slide_s, self.priors.slide_factor) if slide is None else (slide.lasts, slide.factor)
+    def find_end(self, k: int) -> KnownEnd | None:
+        """Find what is known of the end of the slide of a stretch before the contact."""
+        slides = self.motions[k].ends and not self.stretches[k].after
+        return self.priors.ends[self.stretches[k].ball - 1] if slides else None
 
     def find_turn(self, k: int) -> float:
-        """Find the error of the direction of friction after the contact, rad; all but unknown if the body slid."""
-        slide = self.priors.slides[self.stretches[k].ball - 1]
-        if slide is not None:
-            return slide.turn
+        """Find the error of the direction of friction, rad; after the contact all but unknown if the body slid."""
+        end = self.find_end(k)
+        if end is not None:
+            return end.turn
         before = self.motions[self.find_stretch(self.stretches[k].ball, after=False)]
         return float(np.pi / np.sqrt(3)) if before.pushed else self.priors.turn
+
+    @cached_property
+    def slips(self) -> tuple[int, ...]:
+        """The stretches of ball 1 and ball 2 whose slips just after the contact are known, if they are."""
+        firsts = [k for k in range(len(self.motions)) if self.slides_first(k)]
+        return tuple(firsts) if self.priors.slips is not None and len(firsts) == 2 else ()
+
+    @cached_property
+    def turns(self) -> tuple[int, ...]:
+        """The stretches of which the direction of friction is known, and no slip."""
+        firsts = [k for k in range(len(self.motions)) if self.slides_first(k) and k not in self.slips]
+        return (*firsts, *(k for k in range(len(self.motions)) if self.find_end(k) is not None))
 
     def place(self, k: int) -> slice:
         """Find the position of a stretch's body in the vector of parameters."""
@@ -135,7 +187,7 @@ class LocalProblem:
     def known(self) -> tuple[Array, Array]:
         """Prior knowledge as equations with errors of one: values, and matrix of the parameters.
 
-        The first rows, of the distance and of the directions of friction, are not linear; they are zero here.
+        The first rows, of the distance, of directions of friction and of slips, are not linear; they are zero here.
         """
         rows = self._list_known()
         matrix = np.zeros((len(rows), self.size))
@@ -147,15 +199,15 @@ class LocalProblem:
     @cached_property
     def log_width(self) -> float:
         """Logarithm of the volume of what is known of the motions, any direction of a slide before the contact."""
-        free = sum(self.rubs(k) and not self.slides_first(k) for k in range(len(self.motions)))
+        free = sum(self.rubs(k) and k not in (*self.turns, *self.slips) for k in range(len(self.motions)))
         return float(sum(np.log(error) for _, error, _ in self._list_known())) + free * float(np.log(2 * np.pi) / 2)
 
     def _list_known(self) -> list[tuple[float, float, dict[int, float]]]:
         """Prior knowledge: value, error, and factors of the parameters; none of what is not linear."""
         p = self.priors
         rows: list[tuple[float, float, dict[int, float]]] = [(0.0, p.distance_share * p.diameter, {})]
-        slides = [k for k in range(len(self.stretches)) if self.slides_first(k)]
-        rows += [(0.0, self.find_turn(k), {}) for k in slides]
+        rows += [(0.0, self.find_turn(k), {}) for k in self.turns]
+        rows += [(0.0, 1.0, {})] * (2 * len(self.slips))
         rows += [(np.log(p.friction), p.friction_factor, {5: 1.0}), (p.loss, p.loss, {6: 1.0})]
         for k, motion in enumerate(self.motions):
             at, last = self.start[k], self.start[k + 1] - 1
@@ -165,7 +217,7 @@ class LocalProblem:
             elif motion.pushed:
                 rows.append((0.0, p.friction_scatter, {at + 4: 1.0}))
             if motion.ends:
-                usual = self.find_duration(k) if self.stretches[k].after else (p.roll_s, p.roll_factor)
+                usual = (p.slide_s, p.slide_factor) if self.stretches[k].after else (p.roll_s, p.roll_factor)
                 lasts, factor = self.slides.get(k, usual)
                 rows.append((np.log(lasts), factor, {at + 6: 1.0}))
             if motion.rolls:

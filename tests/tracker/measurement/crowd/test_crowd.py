@@ -16,8 +16,9 @@ from tracker.measurement.crowd.contact_table import (
     summarise_contacts,
     tabulate_contacts,
 )
-from tracker.measurement.crowd.crowd_rows import estimate_contacts
+from tracker.measurement.crowd.crowd_rows import _estimate_in_steps, estimate_contacts
 from tracker.measurement.crowd.track_contacts import find_track_contacts
+from tracker.measurement.local.descents import run_alone
 from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate
 from tracker.measurement.positions import to_ball_tracks
 from tracker.settings import FitSettings
@@ -97,7 +98,7 @@ def test_each_contact_gives_r_and_all_give_the_mean(scenes):
             if name in means:
                 mean = means[name]
                 assert abs(mean.coefficients[0] - true) < 2.5 * mean.std[0] < 0.15
-                assert mean.shared_std[0] > 0.3 * mean.std[0]  # the way in which slides are modelled
+                assert mean.shared_std[0] > 0.1 * mean.std[0]  # the way in which slides are modelled
     assert len(z) > 5 * len(scenes)
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5
 
@@ -232,6 +233,63 @@ def test_a_ball_that_chases_another_shows_equal_masses_and_r():
     assert np.mean(np.abs(errors)) < 0.1
     assert np.sqrt(np.mean((errors / std) ** 2)) < 1.5
     assert std.max() < 0.12
+
+
+def test_balls_that_both_slide_from_earlier_contacts_show_equal_masses_and_r():
+    """Two balls are hit within 30 ms before they meet. Their slips just before follow from those contacts."""
+    off = []
+    for seed, sine in enumerate((-0.3, 0.0, 0.3)):
+        launches = [
+            {"position": [-0.0052, -0.0028], "velocity": [0.35, 0.35]},
+            {"position": [0.0, 0.0]},
+            {"position": [0.0106, sine * 0.00238]},
+            {"position": [0.0158, sine * 0.00238 - 0.0028], "velocity": [-0.35, 0.35]},
+        ]
+        clip = synthcam.Scene.build("chain", launches=launches, timing={"frames": 40, "fps": 500}).draw()
+        read = to_pixels(TrackTable(add_noise(clip, 0.02, seed)), "truth", clip.camera_json)
+        balls = to_ball_tracks(read.clips[0][0], read.camera)
+        found = find_track_contacts(balls, read.camera.ball_diameter)
+        assert found[2].balls == (1, 2)
+        _, estimate = estimate_contacts(found, balls, read.camera, FitSettings())[2]
+        assert isinstance(estimate, LocalEstimate), estimate
+        for name, truth in (("mass_ratio", 1.0), ("r", clip.model.restitution)):
+            k = LOCAL_NAMES.index(name)
+            off.append((estimate.value[k] - truth, estimate.std[k]))
+    errors, std = np.array(off).T
+    assert np.sqrt(np.mean((errors / std) ** 2)) < 1.5
+    assert std.max() < 0.02
+
+
+def test_a_slide_before_a_contact_ends_as_the_contact_before_says():
+    """Five positions of ball 19 fit two slides alike. Without its slip, mu_k was .11 for .23, and r .54 for .90."""
+    clip = synthcam.Scene.read("crowd").draw(seed=10)
+    table = add_noise(clip, NOISE_PX, 10)
+    read = to_pixels(TrackTable(table[table["frame"].between(20, 56)]), "truth", clip.camera_json)
+    balls = {ball.particle: ball for ball in to_ball_tracks(read.clips[0][0], read.camera)}
+    found = find_track_contacts(list(balls.values()), read.camera.ball_diameter)
+    [contact] = [c for c in found if c.balls == (7, 19)]
+    _, estimate = run_alone(_estimate_in_steps(contact, found, balls, read.camera, FitSettings()))
+    for name, truth in (("mu_k", clip.model.sliding_friction), ("r", clip.model.restitution)):
+        k = LOCAL_NAMES.index(name)
+        assert abs(estimate.value[k] - truth) < 3 * estimate.std[k] < 0.3, name
+
+
+def test_a_ball_that_spins_about_the_vertical_speeds_another_up_sideways():
+    """The contact gives energy of translation. No film shows such a spin, and no share of a speed is known before."""
+    launches = [
+        {"position": [0.0, 0.0]},
+        {"position": [-0.0066, 0.0003], "velocity": [0.3, 0.0], "spin": 600.0},
+        *({"position": [0.005 * k, 0.01], "velocity": [0.01, 0.0]} for k in range(4)),
+    ]
+    clip = synthcam.Scene.build("spin", launches=launches, timing={"frames": 50}).draw()
+    [event] = clip.solve().events.query("kind == 'contact'").itertuples()
+    before, after = (clip.solve().at([event.t_s + dt])[["vx", "vy"]].to_numpy() for dt in (-1e-9, 0))
+    lost = ((before**2).sum() - (after**2).sum()) / 2
+    result = tracker.measure(add_noise(clip, 0.1), clip.camera_json)
+    [row] = result.contacts.itertuples()
+    assert np.isnan(result.estimates["s_local"]).all()  # its error is too large for a column
+    assert abs(row.energy_lost - lost) < 3 * row.energy_lost_std
+    assert row.energy_lost + 3 * row.energy_lost_std < 0
 
 
 def test_contacts_of_one_ball_that_hide_one_another_in_turn_are_all_found():

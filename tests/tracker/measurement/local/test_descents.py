@@ -14,7 +14,7 @@ from tracker.measurement.local.descents import (
     solve_descents,
     solve_each,
 )
-from tracker.measurement.local.local_problem import LocalPriors, LocalProblem
+from tracker.measurement.local.local_problem import KnownEnd, KnownSlips, LocalPriors, LocalProblem
 from tracker.measurement.local.stretches import ROLL, SLIDE_AND_ROLL, Stretch
 
 DIAMETER, NOISE = 0.05, 1e-5
@@ -49,10 +49,26 @@ def guess(problem, seed=0):
     return x
 
 
-@pytest.mark.parametrize("lasting", [0.0, 5e-6])
-def test_derivatives_are_those_of_differences(lasting):
+SLIPS = KnownSlips(
+    slips=np.array([[0.2, 0.1], [-0.3, 0.2]]),
+    left=np.array([[0.0, 0.0], [0.1, -0.05]]),
+    left_std=(0.0, 0.02),
+    normal=np.array([0.6, 0.8]),
+    share=0.3,
+    drag_std=0.01,
+    std=0.005,
+)
+
+
+@pytest.mark.parametrize(
+    ("lasting", "known"),
+    [(0.0, {}), (5e-6, {}), (0.0, {"slips": SLIPS, "ends": (None, KnownEnd(0.4, 0.2, 0.01, 0.004))})],
+)
+def test_derivatives_are_those_of_differences(lasting, known):
     """Of the cost, by each parameter: half its derivative is that of the residuals times the residuals."""
-    problems = [make_problem(1, 8, lasting=lasting), make_problem(2, 12)]
+    priors = LocalPriors(DIAMETER, **known)
+    problems = [replace(make_problem(*form), priors=priors) for form in ((1, 8), (2, 12))]
+    problems[0] = replace(problems[0], stretches=make_problem(1, 8, lasting=lasting).stretches)
     stack = ProblemStack(problems, np.full((2, 4), 1.3))
     which, x = np.array([1]), guess(problems[1])[None]
     _, pull, square = stack.sum_squares(x, which)
@@ -85,6 +101,16 @@ def test_hits_are_solved_together_as_alone(lasting):
             assert getattr(together, name) == pytest.approx(getattr(alone, name), rel=1e-9, abs=1e-9), name
         assert together.sizes == tuple(descent.sizes)
     assert len({one.cost for [one] in found}) == len(found)
+
+
+def test_slips_have_the_errors_of_draws():
+    """The drag is the same for both balls, and what is left of an earlier slip enters both."""
+    rng, drag = np.random.default_rng(1), SLIPS.drag
+    left = 0.02 * rng.standard_normal((200_000, 2))
+    of_share = 0.01 * rng.standard_normal((200_000, 1)) * SLIPS.normal
+    own = 0.005 * rng.standard_normal((200_000, 4))
+    errors = own + np.hstack([of_share - left @ drag.T, of_share + left - left @ drag.T])
+    assert np.cov(SLIPS.whiten @ errors.T) == pytest.approx(np.eye(4), abs=0.02)
 
 
 def test_a_failure_of_arithmetic_costs_no_other_hit(monkeypatch):

@@ -16,7 +16,7 @@ from tracker.measurement.local.local_fit import (
     mix_solutions,
     shows_end,
 )
-from tracker.measurement.local.local_problem import LocalPriors, LocalProblem
+from tracker.measurement.local.local_problem import KnownEnd, LocalPriors, LocalProblem
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Stretch
 
 NOISE = 1e-6
@@ -124,12 +124,13 @@ def test_a_roll_before_a_hit_may_have_begun_at_any_time(after, may_slide_on):
 
 
 def test_a_duration_that_is_known_lies_where_draws_of_it_lie_in_each_cell():
-    ends, usual, factor = np.array([1e-6, 1.2e-3, 3.7e-3, 6e-3, 0.1, 0.2]), 4e-3, 0.3
-    draws = usual * np.exp(factor * np.random.default_rng(1).standard_normal(400_000))
-    moments = _narrow_cells(ends, np.full(5, 7.0), np.full(5, 8.0), usual, factor)
+    ends, end = np.array([1e-6, 1e-5, 1.2e-3, 3.7e-3, 6e-3, 0.1, 0.2]), KnownEnd(0.0, 0.1, 4e-3, 1.5e-3)
+    draws = end.rolls + end.rolls_std * np.random.default_rng(1).standard_normal(400_000)
+    moments = _narrow_cells(ends, np.full(6, 7.0), np.full(6, 8.0), end)
+    assert moments[0][0] == 7.0  # a slide up to the contact
     cells = zip(ends[:-1], ends[1:], *moments, strict=True)
     for low, high, mean, std in cells:
         own = draws[(draws > low) & (draws < high)]
-        if len(own) > 100:
+        if low > 1e-6 and len(own) > 1000:
             assert (mean, std) == pytest.approx((own.mean(), own.std()), rel=0.02)
     assert moments[0][-1] == 7.0  # all but never there
