@@ -54,10 +54,10 @@ CHECKS = dict(zip(NOTEBOOKS, (of_simulation, of_tracking, of_search), strict=Tru
     "path", [*NOTEBOOKS[:2], pytest.param(NOTEBOOKS[2], marks=pytest.mark.gate)], ids=lambda p: p.stem
 )
 def test_it_runs_and_says_what_is_true(path, monkeypatch):
-    """The search knows two effects and one free law only."""
+    """The search knows two effects and one free law only; of nine speeds three are filmed."""
     only(monkeypatch, ("force_place",), **{name: library()[name] for name in ("plate_tilt", "rolling_quadratic")})
     stored = json.loads(path.read_text())
-    notebook = json.loads(path.read_text())
+    notebook = json.loads(path.read_text().replace("0.12, 0.55, 9)", "0.12, 0.55, 3)"))
     plt.figure()  # left open by others, it is no output
     names = TOOL["run"](notebook, path.name)
     CHECKS[path](names)

@@ -5,6 +5,7 @@ import dataclasses
 import doctest
 import inspect
 import re
+import runpy
 import subprocess
 import sys
 from functools import cached_property
@@ -139,11 +140,21 @@ def test_an_import_is_light(package):
     assert said.stdout == "[]\n"
 
 
-@pytest.mark.parametrize("module", [f"{p}{end}" for p in PACKAGES for end in ("", ".cli")])
-def test_a_package_and_its_cli_run_as_the_command(module):
-    done = subprocess.run([sys.executable, "-m", module, "no-such"], capture_output=True, text=True, check=False)
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_runs_as_the_command(package):
+    done = subprocess.run([sys.executable, "-m", package, "no-such"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert "No such command 'no-such'" in done.stderr
+
+
+@pytest.mark.filterwarnings("ignore:.*found in sys.modules after import of package")
+@pytest.mark.parametrize("package", PACKAGES)
+def test_its_cli_runs_as_the_command_too(package, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [package, "no-such"])
+    with pytest.raises(SystemExit) as left:
+        runpy.run_module(f"{package}.cli", run_name="__main__")
+    assert left.value.code == 2
+    assert "No such command 'no-such'" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("undrawn")

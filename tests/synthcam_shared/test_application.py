@@ -60,8 +60,9 @@ def test_a_closed_pipe_is_no_error(monkeypatch, capsys):
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize("package", ["synthcam", "tracker", "discrepancy"])
-@pytest.mark.parametrize("given", [None, "3"])
+@pytest.mark.parametrize(
+    ("package", "given"), [("synthcam", None), ("tracker", None), ("discrepancy", None), ("tracker", "3")]
+)
 def test_a_command_computes_on_one_thread_unless_told_otherwise(package, given):
     asked = f"import {package}.cli, os, sys; print(os.environ['OPENBLAS_NUM_THREADS'])"
     early = "import synthcam_shared.application, sys; assert 'numpy' not in sys.modules; "
