@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 import tifffile
 from numpy.typing import NDArray
 
+from synthcam.dataset.parquet import encode_table
 from synthcam.dataset.recorded_dataset import list_clip_folders
 from synthcam.scene import ground_truth
 from synthcam.scene.clip import Clip
@@ -64,12 +65,13 @@ def write_clip(
         "pixels_sha256": pixels,
     }
     _write_json(secret / "scene.json", {"seed": clip.seed, "clip": clip.number, "drawn": clip.drawn, "row": row})
-    tables = {"tracks": clip.tracks, "events": clip.solve().events}
+    events = ground_truth.list_true_events(clip.view.motion, clip.camera.fps)
+    tables = {"tracks": clip.list_track_columns(), "events": events}
     if clip.drawn.get("launches"):
-        tables["energy"] = clip.energy
+        tables["energy"] = {str(name): column.to_numpy() for name, column in clip.energy.items()}
     for name, table in tables.items():
         # by way of memory, so that a full disk is the same error as for other files
-        (secret / f"{name}.parquet").write_bytes(table.to_parquet(index=False))
+        (secret / f"{name}.parquet").write_bytes(encode_table(table))
 
 
 def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tuple[str, str]:

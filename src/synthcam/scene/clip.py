@@ -284,8 +284,12 @@ class Clip:
         - state: rest, roll, slide, fly, glide or push; visible: the whole outline is in the picture
         - qx, qy, qz, qw, of balls with a pattern: the rotation from the ball's axes to the world's
         """
+        return pd.DataFrame(self.list_track_columns())
+
+    def list_track_columns(self) -> ground_truth.Columns:
+        """The columns of `tracks` by name, as arrays, which takes half the time of a table."""
         bodies, turning = self.launch.bodies, self.orientation
-        return ground_truth.make_true_tracks(bodies, self.view, self.lamp, self.frames, turning, heights=self.heights)
+        return ground_truth.list_true_tracks(bodies, self.view, self.lamp, self.frames, turning, heights=self.heights)
 
     @property
     def energy(self) -> pd.DataFrame:

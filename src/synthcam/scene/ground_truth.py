@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from synthcam.camera.occlusion import compute_hidden_shares
 from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
@@ -17,6 +18,8 @@ from synthcam.dynamics.trajectory import Event, Trajectory
 from synthcam.model import Bodies, Model
 from synthcam.scene.film_time import FilmedMotion
 from synthcam_shared.arrays import Array
+
+Columns = dict[str, NDArray[Any]]  # of a table, by name
 
 STATE_COLUMNS = "x y z vx vy vz wx wy wz".split()
 COLLISION_COLUMNS = (
@@ -92,7 +95,20 @@ def make_true_tracks(
     every: int = 1,
     heights: Array | None = None,
 ) -> pd.DataFrame:
-    """Make the true tracks, the table `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure.
+    """Make the true tracks, the table `truth/tracks.parquet`, from the arguments of `list_true_tracks`."""
+    return pd.DataFrame(list_true_tracks(bodies, view, lamp, frames, turning, every, heights))
+
+
+def list_true_tracks(
+    bodies: Bodies,
+    view: FilmedMotion,
+    lamp: Lamp,
+    frames: int,
+    turning: OrientationHistory | None = None,
+    every: int = 1,
+    heights: Array | None = None,
+) -> Columns:
+    """List the columns of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure.
 
     x_mean_px, y_mean_px are means over the exposure. turning: of balls with a pattern. every: of every n-th frame only.
     heights: of discs, m, which mirror nothing: their glint is NaN, and so is what hides them; 0 of balls.
@@ -118,7 +134,7 @@ def make_true_tracks(
         if turning:
             columns |= dict(zip("qx qy qz qw".split(), turning.at(ball, times[ball]).as_quat().T, strict=True))
         balls.append(columns)
-    return pd.DataFrame({name: np.concatenate([each[name] for each in balls]) for name in balls[0]})
+    return {name: np.concatenate([each[name] for each in balls]) for name in balls[0]}
 
 
 def _is_whole(camera: PinholeCamera, centres: Array, radius: float, height: float) -> Any:
@@ -134,14 +150,20 @@ def _is_whole(camera: PinholeCamera, centres: Array, radius: float, height: floa
 
 def make_true_events(motion: Trajectory, fps: float) -> pd.DataFrame:
     """Make the true events, the table `truth/events.parquet`; impulses in N s."""
+    return pd.DataFrame(list_true_events(motion, fps))
+
+
+def list_true_events(motion: Trajectory, fps: float) -> Columns:
+    """List the columns of `truth/events.parquet`; impulses in N s."""
     names = "t_s frame_float kind i j nx ny impulse_n impulse_t".split()
-    kinds = {"kind": "str", "i": "int64", "j": "int64"}
+    kinds = {"kind": np.str_, "i": np.int64, "j": np.int64}
     rows = [(e.t, e.t * fps, e.kind, e.i, e.j, *e.n, e.impulse_n, e.impulse_t) for e in motion.events]
     columns = zip(*rows, strict=True) if rows else [()] * len(names)  # an empty table has its types too
-    typed = ((name, list(column), kinds.get(name, "float64")) for name, column in zip(names, columns, strict=True))
-    table = pd.DataFrame({name: pd.Series(column, dtype=kind) for name, column, kind in typed})
+    table: Columns = {
+        name: np.array(column, kinds.get(name, np.float64)) for name, column in zip(names, columns, strict=True)
+    }
     for name in dict.fromkeys(name for e in motion.events for name in e.drawn):
-        table[name] = [e.drawn.get(name, np.nan) for e in motion.events]
+        table[name] = np.array([e.drawn.get(name, np.nan) for e in motion.events])
     return table
 
 

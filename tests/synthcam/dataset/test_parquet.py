@@ -1,0 +1,37 @@
+"""Parquet files against those that pandas writes."""
+
+import io
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import synthcam
+from synthcam.dataset.parquet import encode_table
+from synthcam.scene import ground_truth
+
+COLUMNS = {
+    "frame": np.arange(5),
+    "x": np.array([1.0, np.nan, -0.0, np.inf, 1e-300]),
+    "single": np.arange(5, dtype=np.float32),
+    "seen": np.array([True, False, True, True, False]),
+    "state": np.array(["rest", "", "slide", "roll", "ä"]),
+    "view": np.arange(10.0)[::2],
+}
+
+
+@pytest.mark.parametrize("rows", [0, 1, 5])
+def test_each_kind_of_column_has_the_bytes_of_pandas(rows):
+    columns = {name: column[:rows] for name, column in COLUMNS.items()}
+    assert encode_table(columns) == pd.DataFrame(columns).to_parquet(index=False)
+
+
+def test_the_truth_of_a_clip_has_the_bytes_of_pandas():
+    clip = synthcam.Scene.read("oblique", timing={"frames": 30, "contact_frame": 9}).draw(seed=1)
+    assert encode_table(clip.list_track_columns()) == clip.tracks.to_parquet(index=False)
+    events = clip.solve().events
+    assert len(events) > 2
+    columns = ground_truth.list_true_events(clip.view.motion, clip.camera.fps)
+    encoded = encode_table(columns)
+    assert encoded == events.to_parquet(index=False)
+    pd.testing.assert_frame_equal(pd.read_parquet(io.BytesIO(encoded)), events)
