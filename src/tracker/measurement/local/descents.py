@@ -120,7 +120,7 @@ def _solve_stack(descents: Sequence[Descent]) -> list[list[LocalSolution]]:
         damped = square[active] / size[:, :, None] / size[:, None]
         damped[:, each, each] += damping[active][:, None]
         step = -solve_each(damped, (pull[active] / size)[..., None])[..., 0] / size
-        tried = _within_reach(stack.one, x[active], step)
+        tried = stack.keep_within_reach(x[active], step)
         new, new_pull, new_square = stack.sum_squares(tried, active)
         better = new <= cost[active]
         gain, at = (cost[active] - new)[better], active[better]
@@ -176,17 +176,6 @@ def solve_each(square: Array, pull: Array) -> Array:
         return np.concatenate([solve_each(square[k : k + 1], pull[k : k + 1]) for k in range(len(square))])
 
 
-def _within_reach(problem: LocalProblem, x: Array, step: Array) -> Array:
-    """Steps (m, n) whose logarithms, and directions of friction in rad, change by at most one."""
-    out = x + step
-    taus = [problem.start[k] + 6 for k, motion in enumerate(problem.motions) if motion.ends]
-    rubs = [problem.start[k] + axis for k in range(len(problem.motions)) if problem.rubs(k) for axis in (4, 5)]
-    short = [5, *taus, *rubs]
-    out[:, short] = np.clip(out[:, short], x[:, short] - 1, x[:, short] + 1)
-    out[:, taus] = np.clip(out[:, taus], np.log(1e-10), np.log(1e2))
-    return out
-
-
 class StretchStack(NamedTuple):
     """The stretches of one side of h hits, with as many positions each; those that a stretch lacks have no weight."""
 
@@ -213,6 +202,8 @@ class StretchStack(NamedTuple):
 
     def whiten(self, errors: Array, hits: Ints) -> Array:
         """Whiten errors (m, k, n, 2) of problems of each of these hits (m,), in ascending order: (m, k, 2n)."""
+        if len(self.stretches) == 1:
+            return self.stretches[0].whiten(errors)
         out = np.zeros(errors.shape)
         if self.root is not None:
             root = self.root[hits][:, None]
@@ -244,6 +235,10 @@ class ProblemStack:
         self.present = np.concatenate(present, axis=1)  # (m, 2n) whether a coordinate is one of the problem
         self.parts = [_list_parameters(self.one, k) for k in range(len(self.sides))]
         self.spans = np.array([p.spans for p in problems])
+        motions = list(enumerate(self.one.motions))
+        self.taus = np.array([self.one.start[k] + 6 for k, motion in motions if motion.ends], dtype=np.int64)
+        rubs = [self.one.start[k] + axis for k, _ in motions if self.one.rubs(k) for axis in (4, 5)]
+        self.short = np.array([5, *self.taus.tolist(), *rubs])
         self.known, self.by_known = (np.stack(part) for part in zip(*(p.known for p in problems), strict=True))
         self.square_of_known = np.swapaxes(self.by_known, 1, 2) @ self.by_known
         self.turns, self.slips = self.one.turns, self.one.slips
@@ -259,6 +254,13 @@ class ProblemStack:
             self.whiten, self.drag, self.left = (
                 np.array([getattr(one, name) for one in slips]) for name in ("whiten", "drag", "left")
             )
+
+    def keep_within_reach(self, x: Array, step: Array) -> Array:
+        """x (m, n) after steps whose logarithms, and directions of friction in rad, change by at most one."""
+        out, middle = x + step, x[:, self.short]
+        out[:, self.short] = np.minimum(np.maximum(out[:, self.short], middle - 1), middle + 1)
+        out[:, self.taus] = np.minimum(np.maximum(out[:, self.taus], np.log(1e-10)), np.log(1e2))
+        return out
 
     def sum_squares(self, x: Array, which: Ints) -> tuple[Array, Array, Array]:
         """Sums of squared whitened residuals r (m,), of their derivatives J times r (m, n), and of J by J (m, n, n).

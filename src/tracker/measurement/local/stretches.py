@@ -169,7 +169,8 @@ def evaluate_path(motion: MotionKind, values: Array, since: Array, after: bool) 
     Returns positions (..., n, 2) and derivatives (..., size + 1, n, 2); the last is that by the instant of the contact.
     """
     values = values[..., None]  # to be multiplied by times
-    path = np.stack([values[..., 0, :] + 0 * since, values[..., 1, :] + 0 * since], axis=-1)
+    path = np.empty((*np.broadcast_shapes(values.shape[:-2], since.shape[:-1]), since.shape[-1], 2))
+    path[..., 0], path[..., 1] = values[..., 0, :], values[..., 1, :]
     slope = np.zeros((*values.shape[:-2], motion.size + 1, since.shape[-1], 2))
     slope[..., 0, :, 0] = slope[..., 1, :, 1] = 1.0
     if not motion.moves:
@@ -180,7 +181,8 @@ def evaluate_path(motion: MotionKind, values: Array, since: Array, after: bool) 
     slope[..., -1, :, :] = -v
     path += since[..., None] * v
     ahead = np.abs(since)
-    late, curve, free = 0 * ahead, ahead**2 / 2, ahead**2 / 2
+    late, curve = 0 * ahead, ahead**2 / 2
+    free = curve
     tau, k_tau = 0.0 * values[..., 0, :], -1
     if motion.pushed:
         a, at = values[..., None, 4:6, 0], 6
