@@ -11,9 +11,9 @@ noise:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -93,18 +93,42 @@ class RestrictedResiduals:
         own = fit.launches.shape[1]
         return cls(some, tuple(columns), own, float(np.log(sum(2 * len(c.frame) - own for c in some))))
 
+    def _groups(self, share_noise: bool) -> list[tuple[MeasuredCollision, Array]]:
+        """Group clips that one filter whitens: the first of each group, and the columns (k, n, 2, m) of all.
+
+        share_noise: the balls share noise, so that the filter depends on the claimed errors too.
+        """
+        return self._with_shared_noise if share_noise else self._without_shared_noise
+
+    @cached_property
+    def _without_shared_noise(self) -> list[tuple[MeasuredCollision, Array]]:
+        return self._group(lambda clip: b"")
+
+    @cached_property
+    def _with_shared_noise(self) -> list[tuple[MeasuredCollision, Array]]:
+        return self._group(lambda clip: clip.roots.tobytes())
+
+    def _group(self, more: Callable[[MeasuredCollision], bytes]) -> list[tuple[MeasuredCollision, Array]]:
+        groups: dict[tuple[object, ...], list[int]] = {}
+        for k, (clip, columns) in enumerate(zip(self.clips, self.columns, strict=True)):
+            parts = clip.frame.tobytes(), clip.ball.tobytes(), clip.resting_offset.tobytes(), more(clip)
+            free = columns[..., : self.own].any(axis=(0, 1)).tobytes()  # columns of the launch
+            groups.setdefault((*parts, free) if clip.scatter is None else (k,), []).append(k)
+        return [(self.clips[g[0]], np.stack([self.columns[k] for k in g])) for g in groups.values()]
+
     def cost(self, noise: Noise) -> float:
         """-2 log restricted likelihood, up to a constant."""
         size = self.columns[0].shape[2] - self.own
         gram, logs = np.zeros((size, size)), 0.0
-        for clip, columns in zip(self.clips, self.columns, strict=True):
-            white = ClipWhitener.of(clip, noise)
-            seen = white.decorrelate(columns)
-            own = seen[:, : self.own]
-            q, r = np.linalg.qr(own[:, own.any(axis=0)])
-            rest = seen[:, self.own :] - q @ (q.T @ seen[:, self.own :])
-            gram += rest.T @ rest
-            logs += white.log_determinant + 2 * float(np.log(np.maximum(np.abs(np.diag(r)), 1e-300)).sum())
+        for clip, columns in self._groups(bool(noise.shared)):
+            white, (k, n, _, m) = ClipWhitener.of(clip, noise), columns.shape
+            seen = white.decorrelate(columns.transpose(1, 2, 0, 3)).reshape(2 * n, k, m).transpose(1, 0, 2)
+            own = seen[..., : self.own]
+            q, r = np.linalg.qr(own[..., own.any(axis=(0, 1))])
+            rest = seen[..., self.own :] - q @ (q.swapaxes(1, 2) @ seen[..., self.own :])
+            gram += (rest.swapaxes(1, 2) @ rest).sum(axis=0)
+            sizes = np.maximum(np.abs(np.diagonal(r, axis1=1, axis2=2)), 1e-300)
+            logs += k * white.log_determinant + 2 * float(np.log(sizes).sum())
         values, axes = np.linalg.eigh(gram[:-1, :-1])
         values = np.maximum(values, 1e-8)  # less information than that counts as none
         pulls = axes.T @ gram[:-1, -1]

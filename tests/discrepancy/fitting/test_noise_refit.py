@@ -118,3 +118,18 @@ def test_where_phases_hold_motion_the_noise_is_not_read_over_more():
     assert base.chi2 > 100 * base.points
     assert refit_noise(clips, base, noise) is None
     assert refit_noise(clips, base, noise, explained=False) is None
+
+
+def test_clips_are_whitened_together_only_where_one_filter_whitens_them():
+    """Without shared parameters the likelihood is the sum over clips, some of which have other frames or errors."""
+    clips = collisions(Model(), 5, 3)
+    clips[1] = clips[1].select(np.arange(len(clips[1].frame)) % 7 > 0)
+    clips[2] = clips[2].select(np.flatnonzero(clips[2].frame != 50))
+    clips[3] = dataclasses.replace(clips[3], covariance=clips[3].covariance * np.diag([1.0, 4.0]))
+    own = NoiseComponent(1.0, (0.4,))
+    fit = fit_model(clips, Model(), (), Noise(own))
+    shared = NoiseComponent(STD**2, (0.9,))
+    for noise in (Noise(own), Noise(own, (shared, shared))):
+        together = RestrictedResiduals.of(clips, fit, Noise(own), range(5)).cost(noise)
+        each = [RestrictedResiduals.of(clips, fit, Noise(own), [k]).cost(noise) for k in range(5)]
+        assert together == pytest.approx(sum(each), rel=1e-9)
