@@ -19,6 +19,8 @@ from tracker.measurement.collision.staying_together import fit_slope
 from tracker.measurement.local.descents import FitInSteps, follow_displacements, run_alone
 from tracker.measurement.local.local_fit import (
     BEFORE,
+    MAX_RESIDUAL_CLAIMED,
+    MAX_RESIDUAL_SCATTER,
     choose_window,
     fit_motions,
     guess_contact,
@@ -96,6 +98,8 @@ def estimate_in_steps(
     on_plate = False in glides
     simple_after = (SLIDE, SLIDE_AND_ROLL) if on_plate else (SLIDE,)
     simple_before = (ROLL, *simple_after) if on_plate else (SLIDE,)
+    claimed = bool(np.isinf(contact.pair.striker.noise_dof))
+    max_residual = MAX_RESIDUAL_CLAIMED if claimed else MAX_RESIDUAL_SCATTER
     instant = _guess_instant(contact, camera)
     if _stay_together(contact, instant):
         return "the bodies stay together after the hit"
@@ -106,7 +110,7 @@ def estimate_in_steps(
         stretches = [
             s
             if rests and (s.ball, s.after) == (1, False)
-            else choose_window(s, instant, simple_after if s.after else simple_before)
+            else choose_window(s, instant, simple_after if s.after else simple_before, max_residual)
             for s in whole
         ]
         priors = _allow_for_duration(known, stretches, contact, camera)
@@ -116,8 +120,7 @@ def estimate_in_steps(
         same = all(len(a) == len(b) for a, b in zip(whole, again, strict=True))
         if turn == 2 or lasts or same or abs(late) > 3 / camera.fps:
             break
-    noise_dof = contact.pair.striker.noise_dof
-    weighed = yield from weigh_by_residuals(found, bool(np.isinf(noise_dof)))
+    weighed = yield from weigh_by_residuals(found, claimed)
     mixture = yield from mix_solutions(weighed)
     return _read_values(found[0], mixture, contact, camera, masses)
 

@@ -25,6 +25,8 @@ from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROL
 BEFORE = (ROLL,), (ROLL, SLIDE_AND_ROLL, SLIDE)  # motions of ball 1 and ball 2, which strikes, before the contact
 LEAST_WEIGHT = 0.01  # of those, over the weight of the best
 MAX_COST = 16.0  # beyond that of the best duration of a slide
+MAX_RESIDUAL_CLAIMED = 2.0  # rms of the residuals of a window, over claimed errors
+MAX_RESIDUAL_SCATTER = 3.0  # over errors by the scatter from frame to frame
 ROUGH_GAIN = 0.01  # of the cost, with which a descent ends whose solution is solved again
 
 
@@ -90,13 +92,19 @@ def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Array)
 
 
 def choose_window(
-    stretch: Stretch, contact: float, motions: Sequence[MotionKind], max_residual: float = 2.0
+    stretch: Stretch,
+    contact: float,
+    motions: Sequence[MotionKind],
+    max_residual: float = MAX_RESIDUAL_CLAIMED,
 ) -> Stretch:
     """Shorten a stretch to the longest window that the local fit describes within `max_residual` errors, rms.
 
     Any force that the motions lack raises the residuals of a window that shows it. The rule does not look at the error
     of the velocity, because the smallest of several uncertain errors is too small. If no window is so good, the
     errors are larger than claimed, as in encoded films. The best of the windows then shows how large they are.
+
+    Errors by the scatter from frame to frame miss what lasts, and are smaller where the body rests. If the limit is
+    too small for such errors, the rule chooses windows by chance: those with small residuals.
     """
     ahead, tried = np.abs(stretch.time - contact), list[tuple[Stretch, float]]()
     limit = max_residual**2
@@ -237,10 +245,14 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool) -> FitInStep
     ends = 2 * np.cumsum([len(s) for s in problem.stretches])[:-1]
     lefts, frees, counts = (np.split(v, ends) for v in (solution.residual, solution.freedom, problem.counted))
     moving = [k for k, motion in enumerate(problem.motions) if motion.moves]
+    from_contact = [slice(None, None, 1 if s.after else -1) for s in problem.stretches]
+    free = [max(float(frees[k][counts[k]].sum()), 0.5) for k in moving]
     own, usual = measure_variances(
-        [lefts[k][counts[k]].reshape(-1, 2) for k in moving],
-        [max(float(frees[k][counts[k]].sum()), 0.5) for k in moving],
-        [(problem.motions[k].size + 1) // 2 for k in moving],  # coefficients of the path along an axis
+        [lefts[k][counts[k]].reshape(-1, 2)[from_contact[k]] for k in moving],
+        free,
+        # coefficients of the path along an axis that the positions determine
+        [max(round((float(counts[k].sum()) - f) / 2), 2) for k, f in zip(moving, free, strict=True)],
+        [problem.stretches[k].far.count[from_contact[k]] for k in moving],
     )
     found_squares, least = dict(zip(moving, own, strict=True)), 1.0 if known else 1e-12
     sizes = [size * float(np.sqrt(max(found_squares.get(k, usual), least))) for k, size in enumerate(solution.sizes)]

@@ -39,6 +39,7 @@ class Stretch:
     cov: Array  # (n, 2, 2) m^2; positions beside the contact have NEAR_ERRORS times their errors
     fixed: Array  # (n, 2, 2) the part of it that lasts, as of a `BallTrack`
     near: Flags  # (n,) whether beside the contact, where trackers and bodies are less regular
+    count: Ints  # (n,) frames of which each position is the mean
     width: float = 0.0  # as of a `BallTrack`, and so are `drifts`
     drifts: tuple[tuple[float, float], ...] = ()
 
@@ -62,7 +63,7 @@ class Stretch:
 
     def where(self, rows: Flags) -> Stretch:
         """The same stretch, only those rows."""
-        names = ("time", "position", "cov", "fixed", "near")
+        names = ("time", "position", "cov", "fixed", "near", "count")
         return self if rows.all() else replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
@@ -98,7 +99,7 @@ def cut_stretch(
     mine = (track.time - half > last) if after else (track.time + half < first)
     rows = np.flatnonzero(mine & (track.time >= first - window_s) & (track.time <= last + window_s))
     near = CUTTER.is_beside(track.time, first, last, frame_s)
-    rows = _end_at_contact(track, rows, near[rows], after, frame_s)
+    rows = _keep_free_motion(track, rows, near[rows], after, frame_s)
     near = near[rows]
     size = np.where(near, NEAR_ERRORS, 1.0)[:, None, None] ** 2
     whole = Stretch(
@@ -109,6 +110,7 @@ def cut_stretch(
         cov=size * track.cov[rows],
         fixed=size * track.fixed[rows],
         near=near,
+        count=np.ones(len(rows), dtype=np.int64),
         width=track.width,
         drifts=track.drifts,
     )
@@ -140,11 +142,11 @@ def _average(whole: Stretch, group: Ints) -> Stretch:
     fixed = (mean(whole.fixed) - lasting) * shares[:, None, None] + lasting
     own = mean(whole.cov - whole.fixed) / count[:, None, None]
     near = mean(whole.near.astype(np.float64)) > 0.5
-    return replace(whole, time=time, position=position, cov=own + fixed, fixed=fixed, near=near)
+    return replace(whole, time=time, position=position, cov=own + fixed, fixed=fixed, near=near, count=count)
 
 
-def _end_at_contact(track: BallTrack, rows: Ints, near: Flags, after: bool, frame_s: float) -> Ints:
-    """The rows up to the next contact, or back to the one before."""
+def _keep_free_motion(track: BallTrack, rows: Ints, near: Flags, after: bool, frame_s: float) -> Ints:
+    """The rows up to the next contact or to the stop of a body, or back to the contact before."""
     free = rows[~near]
     if len(free) < 2:
         return rows
@@ -157,10 +159,28 @@ def _end_at_contact(track: BallTrack, rows: Ints, near: Flags, after: bool, fram
         return rows
     kinks = CUTTER.find_kinks(time, CUTTER.measure_kinks(time, position, noise))
     parts = list(CUTTER.cut(time, track.frame[free], kinks, frame_s))
-    if not parts:
+    if parts:
+        ends = int(free[parts[0][-1] if after else parts[-1][0]])
+        rows = rows[rows <= ends] if after else rows[rows >= ends]
+    return _end_at_stop(track, rows, noise) if after else rows
+
+
+def _end_at_stop(track: BallTrack, rows: Ints, noise: float) -> Ints:
+    """The rows up to the stop of a body: no motion of a stretch ends so.
+
+    Its last positions are the same if they differ by `same` errors or by `same_share` of the way at most: errors of a
+    body that moves may be much larger than those of one that rests. It has stopped if it would have moved on by
+    `far` times that at its mean speed.
+    """
+    same, same_share, far = 4.0, 0.2, 5.0
+    time, way = track.time[rows], np.hypot(*(track.position[rows] - track.position[rows[-1]]).T)
+    limit = max(same * noise, same_share * float(way[0]))
+    moving = np.flatnonzero(way > limit)
+    if len(moving) < 2:
         return rows
-    ends = int(free[parts[0][-1] if after else parts[-1][0]])
-    return np.asarray(rows[rows <= ends] if after else rows[rows >= ends])
+    last = int(moving[-1])
+    speed = float(way[0] - way[last]) / float(time[last] - time[0])
+    return rows[: last + 1] if speed * float(time[-1] - time[last]) > far * limit else rows
 
 
 def evaluate_path(motion: MotionKind, values: Array, since: Array, after: bool) -> tuple[Array, Array]:

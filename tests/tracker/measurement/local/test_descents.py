@@ -32,7 +32,7 @@ def make_problem(seed, positions, *, lasting=0.0):
         fixed = np.tile(np.eye(2) * lasting**2, (len(time), 1, 1))
         near = np.zeros(len(time), dtype=bool)
         noisy = path + rng.normal(0, NOISE, path.shape)
-        stretches.append(Stretch(ball, after, time, noisy, cov + fixed, fixed, near, 1e-4))
+        stretches.append(Stretch(ball, after, time, noisy, cov + fixed, fixed, near, np.ones(len(time), int), 1e-4))
     motions = (ROLL, SLIDE_AND_ROLL, SLIDE_AND_ROLL, SLIDE_AND_ROLL)
     return LocalProblem(tuple(stretches), motions, LocalPriors(DIAMETER), False)
 

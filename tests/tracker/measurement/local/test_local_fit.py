@@ -8,6 +8,8 @@ import pytest
 from tracker.measurement.local import local_fit
 from tracker.measurement.local.descents import run_alone
 from tracker.measurement.local.local_fit import (
+    MAX_RESIDUAL_CLAIMED,
+    MAX_RESIDUAL_SCATTER,
     SlideDuration,
     _narrow_cells,
     choose_window,
@@ -28,7 +30,8 @@ def make_stretch(path, time, seed=1, lasting=0.0, ball=1, after=True, size=1.0):
     cov = np.tile(np.eye(2) * NOISE**2, (n, 1, 1))
     fixed = np.tile(np.eye(2) * lasting**2, (n, 1, 1))
     drifts = ((lasting, 0.5),) if lasting else ()
-    return Stretch(ball, after, time, path + noise, cov + fixed, fixed, np.zeros(n, dtype=bool), 1e-4, drifts)
+    near, count = np.zeros(n, dtype=bool), np.ones(n, dtype=int)
+    return Stretch(ball, after, time, path + noise, cov + fixed, fixed, near, count, 1e-4, drifts)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -58,6 +61,20 @@ def test_errors_larger_than_claimed_shorten_no_window():
     time = np.arange(1, 51) * 4e-3
     stretch = make_stretch(np.outer(time, [0.4, 0.1]), time, size=6.0)
     assert choose_window(stretch, 0.0, (SLIDE, ROLL, SLIDE_AND_ROLL)) is stretch
+
+
+def test_errors_that_the_scatter_understates_hardly_choose_the_window():
+    """They last, and are 2.4 times those by the scatter: the limit of claimed errors would shorten many windows."""
+    rng, time, rho = np.random.default_rng(1), np.arange(1, 51) * 4e-3, 0.7
+    whole = dict.fromkeys((MAX_RESIDUAL_CLAIMED, MAX_RESIDUAL_SCATTER), 0)
+    for _ in range(60):
+        errors = rng.normal(0, 2.4, (50, 2))
+        for k in range(1, 50):
+            errors[k] = rho * errors[k - 1] + np.sqrt(1 - rho**2) * errors[k]
+        stretch = make_stretch(np.outer(time, [0.4, 0.1]) + NOISE * errors, time, size=0.0)
+        for limit in whole:
+            whole[limit] += choose_window(stretch, 0.0, (SLIDE,), limit) is stretch
+    assert whole[MAX_RESIDUAL_SCATTER] >= 57 > 45 > whole[MAX_RESIDUAL_CLAIMED]
 
 
 def slide_path(time, speed, friction, slide_s):

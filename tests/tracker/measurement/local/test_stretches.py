@@ -65,6 +65,23 @@ def test_many_positions_are_averaged_far_from_the_contact_alone(after):
     assert stretch.position[:, 1] == pytest.approx(2 * stretch.time)
     assert (1 / stretch.std**2).sum() == pytest.approx((400 - 1 + 1 / NEAR_ERRORS**2) / 4e-6)
     assert stretch.near.sum() == 1
+    assert stretch.count.sum() == 400
+    assert (stretch.count[near] == 1).all()
+    assert stretch.count.max() > 1
+
+
+@pytest.mark.parametrize("stops_s", [0.12, 0.3, 0.6])
+def test_a_stretch_ends_where_its_body_stops(stops_s):
+    """A puck slides to its stop. Its positions at rest have a tenth of the errors, as in a film with loss."""
+    rng, time = np.random.default_rng(2), np.arange(1, 121) / 240.0
+    moving = np.minimum(time, stops_s)
+    way = 1.5 * (stops_s * moving - moving**2 / 2)
+    errors = rng.normal(0, 1e-4, (120, 2)) * np.where(time < stops_s, 1.0, 0.1)[:, None]
+    position = np.column_stack([way, 0 * way]) + errors
+    cov = np.tile(np.eye(2) * 1e-8, (120, 1, 1))
+    track = BallTrack(particle=1, frame=np.arange(120), start=time, position=position, cov=cov, exposure=0.0)
+    last = cut_stretch(track, 1, True, 1.0, (0.0, 0.0), 1 / 240).time[-1]
+    assert last > 0.98 * time[-1] if stops_s > time[-1] else 0.4 * stops_s < last < 1.01 * stops_s
 
 
 @pytest.mark.parametrize("moves", [False, True])
