@@ -186,7 +186,7 @@ class _Background:
         kind, top = (cv2.CV_8U, 0xFF) if bits <= 8 else (cv2.CV_16U, 0xFFFF)
         added: Any = cv2.add(noise.reshape(shape), self.level, dtype=kind)  # rounds half to even and saturates
         counts = np.asarray(added)
-        saturated = np.flatnonzero(counts == top)
+        saturated = _find_saturated(counts, top)
         if bits not in (8, 16):
             np.minimum(counts, (1 << bits) - 1, out=counts)
         outer = saturated[cells[saturated] + np.uint16(1) <= 1]  # the first cell and, wrapped round, the last
@@ -204,6 +204,20 @@ class _Background:
             own = owner == k
             noise[own] = tails[side[own], finer[own]]
         return noise
+
+
+def _find_saturated(counts: Counts, top: int) -> Index:
+    """Find the numbers of the pixels with the count `top`; of a few bytes by a search from each to the next."""
+    few = 64
+    if counts.dtype == np.uint8:
+        whole, found = counts.tobytes(), list[int]()
+        at = whole.find(top)
+        while at >= 0 and len(found) < few:
+            found.append(at)
+            at = whole.find(top, at + 1)
+        if at < 0:
+            return np.array(found, dtype=np.intp)
+    return np.flatnonzero(counts == top)
 
 
 def _look_up(table: Float32, cells: NDArray[np.uint16]) -> Float32:

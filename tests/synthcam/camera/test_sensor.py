@@ -212,6 +212,14 @@ def test_plates_in_changing_light_keep_their_tables(monkeypatch):
     assert 1 < sum(len(b.groups) for b in chip._backgrounds) <= 4
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+@pytest.mark.parametrize("full", [0, 1, 63, 64, 65, 900])
+def test_saturated_pixels_are_found_however_many_there_are(kind, full):
+    counts, top = np.zeros((30, 40), kind), np.iinfo(kind).max
+    counts.flat[np.random.default_rng(full).permutation(1200)[:full]] = top
+    np.testing.assert_array_equal(module._find_saturated(counts, top), np.flatnonzero(counts == top))
+
+
 def test_without_read_noise_a_black_part_of_the_plate_shows_its_offset():
     sensor = Sensor(read_noise=0.0)
     chip, plate = SensorChip(sensor, SIZE, 5e-4, root_seed=16), np.zeros(SIZE[::-1], np.float32)
