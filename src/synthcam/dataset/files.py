@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from synthcam.dataset.parquet import encode_table
 from synthcam.dataset.recorded_dataset import list_clip_folders
 from synthcam.scene import ground_truth
-from synthcam.scene.clip import Clip
+from synthcam.scene.clip import Clip, list_track_columns
 from synthcam_shared.errors import InputError
 
 Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
@@ -66,7 +66,7 @@ def write_clip(
     }
     _write_json(secret / "scene.json", {"seed": clip.seed, "clip": clip.number, "drawn": clip.drawn, "row": row})
     events = ground_truth.list_true_events(clip.view.motion, clip.camera.fps)
-    tables = {"tracks": clip.list_track_columns(), "events": events}
+    tables = {"tracks": list_track_columns(clip), "events": events}
     if clip.drawn.get("launches"):
         tables["energy"] = {str(name): column.to_numpy() for name, column in clip.energy.items()}
     for name, table in tables.items():

@@ -284,12 +284,7 @@ class Clip:
         - state: rest, roll, slide, fly, glide or push; visible: the whole outline is in the picture
         - qx, qy, qz, qw, of balls with a pattern: the rotation from the ball's axes to the world's
         """
-        return pd.DataFrame(self.list_track_columns())
-
-    def list_track_columns(self) -> ground_truth.Columns:
-        """The columns of `tracks` by name, as arrays, which takes half the time of a table."""
-        bodies, turning = self.launch.bodies, self.orientation
-        return ground_truth.list_true_tracks(bodies, self.view, self.lamp, self.frames, turning, heights=self.heights)
+        return pd.DataFrame(list_track_columns(self))
 
     @property
     def energy(self) -> pd.DataFrame:
@@ -357,6 +352,12 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
         finish=finish,
         heights=heights,
     )
+
+
+def list_track_columns(clip: Clip) -> ground_truth.Columns:
+    """List the columns of `Clip.tracks`, which takes half the time of a table."""
+    bodies, turning = clip.launch.bodies, clip.orientation
+    return ground_truth.list_true_tracks(bodies, clip.view, clip.lamp, clip.frames, turning, heights=clip.heights)
 
 
 def _build_launch(model: Model, launch: dict[str, Any], time: float) -> Launch:

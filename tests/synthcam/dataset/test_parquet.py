@@ -9,6 +9,7 @@ import pytest
 import synthcam
 from synthcam.dataset.parquet import encode_table
 from synthcam.scene import ground_truth
+from synthcam.scene.clip import list_track_columns
 
 COLUMNS = {
     "frame": np.arange(5),
@@ -28,7 +29,7 @@ def test_each_kind_of_column_has_the_bytes_of_pandas(rows):
 
 def test_the_truth_of_a_clip_has_the_bytes_of_pandas():
     clip = synthcam.Scene.read("oblique", timing={"frames": 30, "contact_frame": 9}).draw(seed=1)
-    assert encode_table(clip.list_track_columns()) == clip.tracks.to_parquet(index=False)
+    assert encode_table(list_track_columns(clip)) == clip.tracks.to_parquet(index=False)
     events = clip.solve().events
     assert len(events) > 2
     columns = ground_truth.list_true_events(clip.view.motion, clip.camera.fps)
