@@ -13,7 +13,9 @@ from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.search import search
 from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.validate import claim_tests
 from discrepancy.validate.claim_tests import (
+    HeldOutClips,
     HeldOutTest,
     Jackknife,
     Rejection,
@@ -219,6 +221,22 @@ def test_a_claim_that_scatters_from_collision_to_collision_does_not_stand_where_
     # what closes more than it leaves, and a curve held out at its end, which is foretold badly though it is right
     assert judge_predictions(HeldOutTest((648.0, 300.0), 383.0, 362.0), HeldOutTest((496.0, 216.0), 6.6, 8.0)) is None
     assert judge_predictions(HeldOutTest((93.0, 1.04), 212.0, 214.0), HeldOutTest((57.0, 11.6), 7.9, 6.7)) is None
+
+
+def test_each_model_is_fitted_to_held_out_clips_once(monkeypatch):
+    clips = collisions(Model(), 3, 1)
+    fits = [fit_model(clips, Model(), names, NOISE) for names in ((), ("restitution",))]
+    held_out, fitted = HeldOutClips(clips, NOISE, fits[0]), []
+
+    def fit_launches(_, model, *rest):
+        fitted.append(model)
+        if len(fitted) == 2:
+            raise ValueError("no motion")
+        return fits[0]
+
+    monkeypatch.setattr(claim_tests, "fit_launches", fit_launches)
+    assert [held_out.fit(fits[k]) for k in (0, 1, 0, 1)] == [fits[0], None, fits[0], None]
+    assert fitted == [fit.model for fit in fits]
 
 
 @pytest.mark.parametrize(("without", "with_", "worse"), [(30.0, 31.0, False), (1.0, 31.0, True)])
