@@ -28,7 +28,14 @@ from discrepancy.outcome import decide_verdict
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy, read_policy
 from discrepancy.select import free_law_contest, law_fit, library_search
 from discrepancy.select.effect_claim import EffectClaim
-from discrepancy.select.free_law_contest import FreeLawFits, Opponent, find_better_law, find_near_law, find_winning_law
+from discrepancy.select.free_law_contest import (
+    FreeLawFits,
+    Opponent,
+    explains_all,
+    find_better_law,
+    find_near_law,
+    find_winning_law,
+)
 from discrepancy.select.law_fit import LawScore
 from discrepancy.select.library_search import Selection, choose_simplest, complete_search
 from discrepancy.select.score_test import CandidateScore, ScoreTests
@@ -605,3 +612,13 @@ def test_a_wrong_policy_file_is_refused_in_one_line(tmp_path, text, message):
 def test_a_policy_file_sets_what_it_names(tmp_path):
     (tmp_path / "policy.yaml").write_text("significance_level: 1e-4\nmax_effects: 2\n")
     assert read_policy(tmp_path / "policy.yaml") == SearchPolicy(significance_level=1e-4, max_effects=2)
+
+
+@pytest.mark.parametrize(("chi2", "explained"), [(106.0, True), (119.0, False)])
+def test_a_free_law_leaves_only_noise_up_to_a_chi2_per_point_of_1_1(chi2, explained, monkeypatch):
+    law = Made(fit=Made(chi2=chi2, points=100))
+    monkeypatch.setattr(free_law_contest, "find_better_law", lambda laws, opponent: law)
+    assert explains_all(Made(find_missing_effect=lambda law: None), None) == explained
+    assert not explains_all(Made(find_missing_effect=lambda law: "hop"), None)
+    monkeypatch.setattr(free_law_contest, "find_better_law", lambda laws, opponent: None)
+    assert not explains_all(Made(find_missing_effect=lambda law: None), None)

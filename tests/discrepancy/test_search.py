@@ -20,7 +20,7 @@ from discrepancy_clips import (
     only,
     searched,
 )
-from discrepancy_outsiders import OUTSIDERS, each_outsider, outsider
+from discrepancy_outsiders import BEGUN_AGAIN, OUTSIDERS, each_outsider, outsider
 
 from benchmarks.search.sealed.integrator import Plate, collision, means
 from discrepancy.add import add
@@ -192,6 +192,13 @@ def test_an_effect_outside_the_library_gets_its_free_law_and_no_name(law):
     chance = 4 * np.sqrt(2 / points) / (gap.before - gap.floor)  # in chi^2 a point of so few clips kept out
     assert gap.closure > (0.7 if law == "friction_place" else 0.95) - chance  # other clips see other places of a map
     assert chance < 0.2
+
+
+def test_no_search_begins_again_where_a_free_law_leaves_only_noise():
+    """Without the law chi^2 per point is over 2, which makes a search begin again from other effects."""
+    found = outsider("restitution_speed")
+    assert found.base_fit.chi2 / found.base_fit.points > found.policy.poor_chi2_per_point
+    assert "restitution_speed" not in BEGUN_AGAIN
 
 
 @each_outsider

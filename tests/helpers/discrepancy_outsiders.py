@@ -9,6 +9,7 @@ from discrepancy_clips import collisions, only
 
 from discrepancy.free_laws.library import list_free_laws as free_laws
 from discrepancy.search import search
+from discrepancy.select import free_law_contest
 from synthcam.effect import Effect, parameter
 from synthcam.library import library
 from synthcam.model import Model
@@ -86,6 +87,8 @@ RIVALS = {
 }
 
 
+BEGUN_AGAIN = list[str]()  # laws whose search looked for other first effects
+
 # one search is enough to see that all stages fit together
 each_outsider = pytest.mark.parametrize(
     "law", [pytest.param(law, marks=[pytest.mark.gate] * (law != "restitution_speed")) for law in OUTSIDERS]
@@ -98,7 +101,16 @@ def outsider(law):
 
     An impact tells its law at one speed only, and a weak force little: there must be more of them.
     """
-    hidden = dataclasses.replace(Model(), effects=(OUTSIDERS[law],))
+    hidden, begin_again = (
+        dataclasses.replace(Model(), effects=(OUTSIDERS[law],)),
+        free_law_contest.search_from_other_effects,
+    )
+
+    def count_and_begin(library, state):
+        BEGUN_AGAIN.append(law)
+        return begin_again(library, state)
+
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(free_law_contest, "search_from_other_effects", count_and_begin)
         only(patch, RIVALS[law], **{name: library()[name] for name in FEW})
         return search(collisions(hidden, CLIPS[law], 3), Model())

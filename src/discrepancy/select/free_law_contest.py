@@ -39,7 +39,7 @@ def select_effects_and_law(library: LibraryFits) -> Selection:
 
     Each larger model of the library competes with the free laws. The library's search ends when a free law beats two of
     its models in a row. So the library may add one more effect to catch up with the law. Where its last model is poor,
-    the search begins again from other effects (`search_from_other_effects`).
+    the search begins again from other effects (`search_from_other_effects`), unless a free law leaves only noise.
     """
     laws = FreeLawFits(library.evidence, library.base)
     state: State = ()
@@ -49,7 +49,7 @@ def select_effects_and_law(library: LibraryFits) -> Selection:
         beaten = beaten + 1 if is_beaten_by_law(opponent, laws) else 0
         if beaten > 1:
             break
-    begun_elsewhere = search_from_other_effects(library, state)
+    begun_elsewhere = state if explains_all(laws, opponent) else search_from_other_effects(library, state)
     if begun_elsewhere != state:
         state = begun_elsewhere
         opponent = laws.challenge(library.fit(state), library.rivals(state))
@@ -163,6 +163,14 @@ def is_beaten_by_law(opponent: Opponent, laws: FreeLawFits) -> bool:
     """
     best = find_better_law(laws, opponent, fewer=1)
     return best is not None and (laws.count_effects(opponent.fit) > 1 or laws.find_missing_effect(best) is None)
+
+
+def explains_all(laws: FreeLawFits, opponent: Opponent) -> bool:
+    """Tell if a free law beats a model of the library, and leaves only noise (`SearchPolicy.noise_chi2_per_point`)."""
+    best = find_better_law(laws, opponent)
+    if best is None or best.fit.chi2 / best.fit.points > current_policy().noise_chi2_per_point:
+        return False
+    return laws.find_missing_effect(best) is None
 
 
 def find_winning_law(laws: FreeLawFits, opponent: Opponent) -> FittedLaw | None:
