@@ -112,7 +112,7 @@ def test_table_holds_the_scores(drawn):
     assert float(row["rmse"]) == pytest.approx(verdict.quantities["r"]["rmse"] * 1e3, rel=0.01)
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "not_local")
 def test_without_video_or_collision_it_says_so(tmp_path):
     settings = {"launch": {"kind": "single", "v0": 0.3}}
     data = dataset(tmp_path / "data", settings, 1)
