@@ -48,7 +48,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ["tracker", "track"],
         ["discrepancy", "find"],
     ]
-    small = "--set camera.size=[384,288] --set timing.frames=60"
+    small = "--set camera.size=[384,288] --set timing.frames=48"
     scored = [
         f"synthcam generate scenes/benchmark.yaml -o out/benchmark --clips 1 {small}",
         "tracker track out/benchmark -o out/benchmark_results --no-pages",
