@@ -55,3 +55,31 @@ def draw(ways, balls, ground=GREEN, shadow=True, people=(), seed=0):
         picture *= shade(k)[..., None] if shadow else 1
         out.append(np.clip(np.rint(picture + rng.normal(0, 2.0, picture.shape)), 0, 255))
     return np.array(out).astype(np.uint8)
+
+
+def smeared_ring(gap, frames=12, radius=14.5, smear=2.0, seed=0):
+    """Places (4, frames, 2) and frames of three balls in a ring, gaps in px, that turns and drifts, and of one alone.
+
+    Colours are blurred and brightness is not, as by an encoder.
+    """
+    rng, time, size = np.random.default_rng(seed), np.arange(frames), (200, 360)
+    angles = 0.4 + 0.07 * time + 2 * np.pi * np.arange(3)[:, None] / 3
+    ring = (2 * radius + gap) / np.sqrt(3) * np.stack([np.cos(angles), np.sin(angles)], axis=2)
+    middle = np.stack([60 + 210 * time / (frames - 1), 100 + 1.5 * np.sin(time)], axis=1)
+    ways = np.concatenate([ring + middle, [np.stack([0 * time + 335, 20 + 150 * time / (frames - 1)], axis=1)]])
+    y, x = np.mgrid[: size[0], : size[1]].astype(float)
+    blue, green, red, yellow = (30.0, 60.0, 110.0), (20.0, 120.0, 60.0), (190.0, 40.0, 60.0), (225.0, 170.0, 60.0)
+    out = []
+    for k in time:
+        picture = np.broadcast_to((205.0, 210.0, 200.0), (*size, 3)).copy()
+        for n, (way, two) in enumerate(
+            zip(ways[:, k], [(blue, yellow), (green, yellow), (red, red)] * 2, strict=False)
+        ):
+            cover, turn = disc(way, radius, 0.8, size=size), 0.1 * k + 2 * n
+            first = (x - way[0]) * np.cos(turn) + (y - way[1]) * np.sin(turn) > 0
+            picture = over(over(picture, cover * first, two[0]), cover * ~first, two[1])
+        picture += rng.normal(0, 2.0, picture.shape)
+        grey = picture @ [0.299, 0.587, 0.114]
+        colours = gaussian_filter(picture - grey[..., None], (smear, smear, 0))
+        out.append(np.clip(np.rint(grey[..., None] + colours), 0, 255))
+    return ways, np.array(out).astype(np.uint8)

@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
-from tracker_colours import FRAMES, GREEN, ORANGE, SKIN, WOOD, cluster, cue, draw, hand
-from tracker_discs import CAMERA, apart
+from tracker_colours import FRAMES, GREEN, ORANGE, SKIN, WOOD, cluster, cue, draw, hand, smeared_ring
+from tracker_discs import CAMERA, apart, recorded
 
 import tracker
 from synthcam_shared.errors import InputError
+from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import PLANES
 from tracker.camera.colour_planes import read_plane
 from tracker.camera.film_in_memory import wrap_frames
+from tracker.detection.detect import detect, make_view
 
 
 def count(result, ways, gate=1.5):
@@ -76,6 +78,21 @@ def test_balls_that_touch_all_the_time_are_each_found(bend, colours, ground):
     """In a bent chain. Differences of two colours show two of the first three only, and no plane a ball alone."""
     ways = cluster(3, bend, 16)
     assert count(tracker.track(draw(ways, colours, ground, shadow=False), CAMERA), ways) == (3 * 16, 0)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1.0, 2.0])
+def test_balls_whose_colours_an_encoder_has_smeared_into_each_other(gap):
+    """Of 48; at gaps of 0 and 1 px, single fits find 36 and 42."""
+    ways, pictures = smeared_ring(gap)
+    camera = Camera.from_dict({"size": [360, 200], "fps": 60.0, "scale": 1e-3, "ball_diameter": 0.029})
+    clip = recorded(pictures, camera).select_channel("colour")
+    found = detect(clip, make_view(clip, "discs"), "discs").glints
+    away = ways[:, found.frame] - found.xy
+    nearest = np.hypot(away[..., 0], away[..., 1]).argmin(axis=0)
+    assert sorted(zip(found.frame.tolist(), nearest.tolist(), strict=True)) == [
+        (k, n) for k in range(12) for n in range(4)
+    ]
+    assert np.sqrt((away[nearest, np.arange(len(found))] ** 2).mean()) < 0.4  # px
 
 
 def test_a_wrong_channel_is_one_line():

@@ -30,6 +30,7 @@ from tracker.detection.outlines.contrast_regions import (
     split_region,
 )
 from tracker.detection.outlines.disc_fit import DiscAppearance, DiscFit, DiscScene, fit_disc
+from tracker.detection.outlines.disc_group import fit_disc_group
 from tracker.detection.outlines.hidden_disc import fit_outline_circle
 
 ContrastArea: TypeAlias = tuple[PixelRegion, NDArray[np.float32]]  # a region, and its difference from the background
@@ -274,6 +275,7 @@ class Discs:
             tally.refused += not fitted and part.area > 0.5 * np.pi * radius**2
             tally.refused_area += 0.0 if fitted else part.area / (np.pi * radius**2)
             fits += [(f, flag, radius) for f, flag in fitted]
+        fits = _drop_repeated(fits) if self.in_colour else fits
         return self._glints(fits, seen.light.shape) if fits else Glints.none()
 
     def _find_areas(self, seen: _SeenFrame, tally: _Tally) -> list[ContrastArea]:
@@ -359,15 +361,21 @@ class Discs:
     def _in_part(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[tuple[DiscFit, int]]:
         """Discs in one part, with their flags."""
         found: list[tuple[DiscFit, int]] = []
-        if self._is_disc(part, radius):
+        balls, is_one = part.area / (np.pi * radius**2), self._is_disc(part, radius)
+        if is_one:
             fitted = self._fit(seen, radius, part.middle, part.blur)
             flag = PositionFlag.STREAK if np.hypot(*part.blur) > MAX_BLUR_AT_REST * radius else 0
             found = [(fitted, flag)] if fitted is not None else []
         elif self.in_colour:
             found = self._in_coloured_part(seen, part, radius)
-        elif 0.3 < part.area / (np.pi * radius**2) < 6:
+        elif 0.3 < balls < 6:
             found = self._touching(seen, part, radius)
-        return [(f, flag) for f, flag in found if abs(f.radius / radius - 1) < self.settings.disc_radius_tolerance]
+        whole = [(f, flag) for f, flag in found if abs(f.radius / radius - 1) < self.settings.disc_radius_tolerance]
+        # two discs whose waist is filled are as long as a streak of 3.5 radii
+        several = not is_one or np.hypot(*part.blur) > 2.2 * radius
+        if self.in_colour and several and 1.6 < balls < 6 and len(whole) < max(round(balls), 2):
+            whole = max(whole, self._smeared_group(seen, part, radius), key=len)
+        return whole
 
     def _in_coloured_part(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[tuple[DiscFit, int]]:
         """The same in a plane of colour, for a region that is not one whole disc: the most discs that fit.
@@ -435,6 +443,19 @@ class Discs:
                 found.append((fitted, PositionFlag.NEAR if others else 0))
         return found
 
+    def _smeared_group(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[tuple[DiscFit, int]]:
+        """Discs that touch, where an encoder has smeared their colours into each other.
+
+        A disc whose edge cannot be fitted keeps the position that the outline of the group gives.
+        """
+        group, found = fit_disc_group(part.mask, (part.left, part.top), radius, seen.light.shape), list[DiscFit]()
+        for one in group:
+            others = [(float(x), float(y)) for x, y in (other.position for other in group if other is not one)]
+            fit = self._fit(seen, radius, one.position, np.zeros(2), others)
+            is_same = fit is not None and abs(fit.radius / one.radius - 1) < 0.15
+            found.append(fit if fit is not None and is_same else one)
+        return [(fit, int(PositionFlag.NEAR)) for fit in found]
+
     def _glints(self, fits: list[tuple[DiscFit, int, float]], shape: tuple[int, ...]) -> Glints:
         """Fits of one frame with their flags and radii as glints; the flux is the area of a ball, px^2."""
         found, flags, radii = zip(*fits, strict=True)
@@ -446,6 +467,15 @@ class Discs:
         flags |= np.where(rim, PositionFlag.EDGE, 0) | (PositionFlag.SHADED if self.is_shaded else 0)
         area = [np.pi * r**2 for r in radii]
         return replace(Glints.at(x, y, cov, area), flags=flags.astype(np.int64), fixed=fixed)
+
+
+def _drop_repeated(fits: list[tuple[DiscFit, int, float]]) -> list[tuple[DiscFit, int, float]]:
+    """Fits further than a radius from those before them: two colours of one ball may be two parts of a region."""
+    kept = list[tuple[DiscFit, int, float]]()
+    for one in fits:
+        if all(np.hypot(*(one[0].position - other[0].position)) > one[2] for other in kept):
+            kept.append(one)
+    return kept
 
 
 def _measure_change(frame: NDArray[Any], level: NDArray[np.float32]) -> float:

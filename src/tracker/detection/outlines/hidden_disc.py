@@ -47,7 +47,7 @@ def fit_outline_circle(
             edge &= np.hypot(*(tips - other).T) > 1.05 * radius
         if edge.sum() < (0.3 if others else 0.55) * rays:
             return None
-        middle, scatter = _circle(tips[edge], middle, radius)
+        middle, scatter = fit_circle(tips[edge], middle, radius)
     return middle if scatter < 0.1 * radius else None  # an outline that scatters more is no ball's
 
 
@@ -57,7 +57,7 @@ def _at(picture: Picture, points: Array) -> Array:
     return np.asarray(cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
 
 
-def _circle(points: Array, start: Array, radius: float) -> tuple[Array, float]:
+def fit_circle(points: Array, start: Array, radius: float) -> tuple[Array, float]:
     """Centre (2,) of a circle of known radius through points (n, 2), and their scatter, px; with Huber's weights."""
     middle, scatter = start.astype(float), 1.0
     for _ in range(12):
