@@ -168,12 +168,13 @@ def _keep_free_motion(track: BallTrack, rows: Ints, near: Flags, after: bool, fr
 def _end_at_stop(track: BallTrack, rows: Ints, noise: float) -> Ints:
     """The rows up to the stop of a body: no motion of a stretch ends so.
 
-    Its last positions are the same if they differ by `same` errors or by `same_share` of the way at most: errors of a
-    body that moves may be much larger than those of one that rests. It has stopped if it would have moved on by
-    `far` times that at its mean speed.
+    Its last positions are the same if they differ by `same` errors or by `same_share` of the way at most from the
+    middle of the last third: errors of a body that moves may be much larger than those of one that rests. It has
+    stopped if it would have moved on by `far` times that at its mean speed.
     """
     same, same_share, far = 4.0, 0.2, 5.0
-    time, way = track.time[rows], np.hypot(*(track.position[rows] - track.position[rows[-1]]).T)
+    time, position = track.time[rows], track.position[rows]
+    way = np.hypot(*(position - np.median(position[-(len(rows) // 3) :], axis=0)).T)
     limit = max(same * noise, same_share * float(way[0]))
     moving = np.flatnonzero(way > limit)
     if len(moving) < 2:
