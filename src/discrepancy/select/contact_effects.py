@@ -49,6 +49,26 @@ class ContactLaw:
     numbers: tuple[tuple[str, str], ...]
     causes: tuple[str, ...] = ()
     trials: int = 1
+    limit: Callable[[Contacts], Array] | None = None  # (n, 1) of the quantity, where surfaces of balls stick
+
+    def fit(self, contacts: Contacts, value: Array, errors: tuple[Array, Array]) -> _Fit:
+        """Fit the law to values (n,) with their own errors (n,) and shared ones (n, k).
+
+        In a crowd, contacts beyond the limit may have that value instead, if the law fits better so.
+        """
+        design = self.design(contacts)
+        found = plain = _Fit.of(value, *errors, design, contacts.of_crowd)
+        if self.limit is None or not contacts.of_crowd.all():
+            return plain
+        most, sticks = self.limit(contacts)[:, 0], np.zeros(len(value), dtype=bool)
+        for _ in range(5):
+            now = np.abs(design @ found.coefficients) > np.abs(most)
+            if (now == sticks).all() or np.count_nonzero(~now) < 2 * design.shape[1] + 1:
+                break
+            sticks = now
+            free = np.where(sticks[:, None], 0.0, design)
+            found = _Fit.of(value - np.where(sticks, most, 0.0), *errors, free, contacts.of_crowd)
+        return min(found, plain, key=lambda fit: fit.cost)
 
     @property
     def price(self) -> float:
@@ -114,6 +134,11 @@ def _across_falling(contacts: Contacts) -> Array:
     return np.asarray(_across(contacts) * np.column_stack([np.ones(len(slip)), -np.log(slip / np.median(slip))]))
 
 
+def _sticking(contacts: Contacts) -> Array:
+    """The friction that stops the surfaces of two balls: they turn, so that it need stop two sevenths."""
+    return np.asarray(2 / 7 * _steepness(contacts))
+
+
 def _by_body(contacts: Contacts) -> Array:
     """The sign with which a heavier ball a shows in the recoil; zero in a crowd, which has no ball a."""
     return np.where(contacts.of_crowd, 0.0, np.where(contacts.a_strikes, -1.0, 1.0))[:, None]
@@ -145,12 +170,13 @@ LAWS: dict[str, tuple[ContactLaw, ...]] = {
     ),
     "friction": (
         ContactLaw("none", _nothing, ()),
-        ContactLaw("Coulomb friction", _across, (("mu", "1"),), _RUBBING),
+        ContactLaw("Coulomb friction", _across, (("mu", "1"),), _RUBBING, limit=_sticking),
         ContactLaw(
             "Coulomb friction that falls with the slip speed",
             _across_falling,
             (("mu at the median slip speed", "1"), ("decrease from a speed to e times that", "1")),
             ("falling ball_friction",),
+            limit=_sticking,
         ),
         ContactLaw("a share of the tangential speed stops", _steepness, (("share", "1"),), _RUBBING),
     ),
@@ -198,7 +224,7 @@ def _list_laws(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], le
 def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], least: int) -> ContactClaim:
     policy = current_policy()
     value, (std, shared) = getattr(contacts, quantity), contacts.split_errors(quantity)
-    fits = [_Fit.of(value, std, shared, law.design(contacts), contacts.of_crowd) for law in laws]
+    fits = [law.fit(contacts, value, (std, shared)) for law in laws]
     sign = np.sign(contacts.slip_t) if quantity == "friction" else 1.0  # friction opposes the slip
     costs = [f.cost + policy.min_noise_gain * f.design.shape[1] + law.price for f, law in zip(fits, laws, strict=True)]
     sigmas = [
@@ -220,12 +246,12 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
     if own.all() or not own.any():
         own, safe = np.ones(len(value), dtype=bool), wide
     else:  # a few contacts of one ball cannot tell which of them is odd
-        safe = std
+        safe = std if quantity == "recoil" else wide
     return ContactClaim(
         quantity=quantity,
         law=law.name,
         causes=tuple(dict.fromkeys(c for k in (best, *near) for c in laws[k].causes)) if best else (),
-        numbers=_fit_numbers(value[own], safe[own], shared[own], fit.design[own], law.numbers),
+        numbers=_fit_numbers(fit.value[own], safe[own], shared[own], fit.design[own], law.numbers),
         contacts=len(value),
         scatter=fit.scatter,
         sigma=sigmas[best],
@@ -287,8 +313,13 @@ class _Fit:
 
     def predict(self) -> Array:
         """Predict the values (n,) by the law."""
+        return np.asarray(self.design @ self.coefficients)
+
+    @property
+    def coefficients(self) -> Array:
+        """The numbers of the law."""
         white = _whiten(self.variance, self.shared, self.value, self.design)[0]
-        return np.asarray(self.design @ np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0])
+        return np.asarray(np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0])
 
     def compare(self, other: _Fit, recordings: Ints) -> float:
         """Sigma, by its scatter between recordings, of the gain of another fit on values that were left out."""

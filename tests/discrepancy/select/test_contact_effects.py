@@ -199,3 +199,20 @@ def test_friction_against_the_velocity_across_is_that_of_a_turning_ball():
     claim = law_of(turned, "friction")
     assert claim.law == "Coulomb friction"
     assert claim.numbers[0].value == pytest.approx(law_of(contacts, "friction").numbers[0].value)
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_surfaces_that_stick_hide_no_friction_that_falls(seed):
+    """Friction stops slow surfaces early, so that it is less there than Coulomb's law says."""
+
+    def find_friction(contacts):
+        coulomb = (0.2 - 0.15 * np.log(contacts.slip / 0.8)) * contacts.slip_t / contacts.slip
+        return np.minimum(coulomb, 2 / 7 * contacts.slip_t / (1.8 * contacts.speed_n))
+
+    contacts = crowd(draw(count=24, seed=seed, friction=find_friction))
+    true = find_friction(contacts)
+    claim = law_of(dataclasses.replace(contacts, friction=true + (contacts.friction - true) / 5), "friction")
+    assert claim.law == "Coulomb friction that falls with the slip speed"
+    truth = 0.2 - 0.15 * np.log(np.median(contacts.slip) / 0.8), 0.15
+    for number, expected in zip(claim.numbers, truth, strict=True):
+        assert abs(number.value - expected) < min(3 * number.std, 0.04)
