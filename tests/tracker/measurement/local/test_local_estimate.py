@@ -7,7 +7,9 @@ import tracker_billiard as billiard
 
 from benchmarks.tracker.local_estimates import measure_one
 from tracker import measure
+from tracker.measurement.local import local_estimate
 from tracker.measurement.local.local_columns import LocalErrors, apply_errors
+from tracker.measurement.local.local_fit import MAX_RESIDUAL_CLAIMED, MAX_RESIDUAL_SCATTER
 
 FPS, NOISE_PX, SCALE = 250.0, 0.02, 1.6e-4
 P = billiard.Physics()
@@ -108,6 +110,14 @@ def test_pucks_that_slide_until_they_stop_show_r_in_a_film_with_loss(number):
     assert row["r_local"] == pytest.approx(row["r_true"], abs=2.5 * row["r_local_std"])
     assert row["r_local_std"] < 0.05
     assert row["v0_local"] == pytest.approx(row["v0_true"], abs=3 * row["v0_local_std"])
+
+
+@pytest.mark.parametrize(("claimed", "limit"), [(True, MAX_RESIDUAL_CLAIMED), (False, MAX_RESIDUAL_SCATTER)])
+def test_errors_by_the_scatter_allow_larger_residuals(monkeypatch, claimed, limit):
+    limits = set()
+    monkeypatch.setattr(local_estimate, "choose_window", lambda s, *rest: limits.add(rest[-1]) or s)
+    measure_one("discs", 0, 1, 0.0, claimed)
+    assert limits == {limit}
 
 
 def test_a_slide_that_may_end_after_the_last_position_leaves_v0_uncertain():

@@ -1,5 +1,6 @@
 """Fits of one stretch: the end of its slide, and the window that is fitted."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,6 +18,7 @@ from tracker.measurement.local.local_fit import (
     fit_single_stretch,
     mix_solutions,
     shows_end,
+    weigh_by_residuals,
 )
 from tracker.measurement.local.local_problem import KnownEnd, LocalPriors, LocalProblem
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Stretch
@@ -81,6 +83,31 @@ def slide_path(time, speed, friction, slide_s):
     """Position along x of a body that slides for `slide_s` from time 0 on, and then moves on."""
     early, late = np.minimum(time, slide_s), np.maximum(time - slide_s, 0)
     return np.outer(speed * early - friction * early**2 / 2 + (speed - friction * slide_s) * late, [1.0, 0.0])
+
+
+def test_residuals_are_weighed_from_the_contact_on(monkeypatch):
+    """Positions far from the contact are means of three: in time the first before it, and the last after it."""
+    before, after, diameter = np.arange(-30, 0) * 4e-3, np.arange(1, 31) * 4e-3, 0.05
+    many = np.r_[np.ones(20, dtype=int), np.full(10, 3)]
+    stretches = (
+        make_stretch(np.zeros((30, 2)), before, 1, after=False),
+        make_stretch(np.outer(before, [1.0, 0.0]) - [diameter, 0], before, 2, ball=2, after=False),
+        make_stretch(np.outer(after, [0.9, 0.0]), after, 3),
+        make_stretch(np.outer(after, [0.1, 0.0]) - [diameter, 0], after, 4, ball=2),
+    )
+    stretches = [replace(s, count=many if s.after else many[::-1]) for s in stretches]
+    found, seen = run_alone(fit_motions(stretches, 0.0, True, (True,), LocalPriors(diameter))), {}
+
+    def measure_variances(residuals, freedom, columns, counts):
+        seen.update(residuals=residuals, counts=counts, columns=columns)
+        return [1.0] * len(residuals), 1.0
+
+    monkeypatch.setattr(local_fit, "measure_variances", measure_variances)
+    run_alone(weigh_by_residuals(found, known=False))
+    np.testing.assert_array_equal(seen["counts"], [many] * 3)
+    parts = found[0].residual.reshape(4, 30, 2)
+    np.testing.assert_array_equal(seen["residuals"], [parts[1][::-1], parts[2], parts[3]])
+    assert seen["columns"] == [3, 3, 3]
 
 
 @pytest.mark.parametrize(("slide_s", "seen"), [(0.5, False), (0.199, False), (0.1, True)])
