@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from synthcam_shared.errors import InputError
-from tracker.calibration.camera_warp import _WarpProblem, fit_camera_warp
+from tracker.calibration.camera_warp import _leave_out_bad, _WarpProblem, fit_camera_warp
 from tracker.calibration.free_stretches import find_free_stretches, fit_stretch
 from tracker.camera.camera import Camera
 from tracker.camera.warp import Warp
@@ -111,7 +111,12 @@ def test_the_command_finds_a_known_map_within_its_error(tmp_path):
 
 def test_maps_of_the_error_and_their_rest_are_the_covariance_of_the_displacements():
     problem = _WarpProblem.of(stretches_of(film(1.0, 6)))
-    root = problem.solve().root
+    found = problem.solve()
+    root = found.root
+    matrix, vector, square, dof = (sum(part) for part in zip(*problem.sums, strict=True))
+    precision = matrix + found.smoothness * problem.prior
+    noise = (square - vector @ np.linalg.solve(precision, vector)) / dof  # chi^2 of the fit, for a degree of freedom
+    assert np.trace(root.T @ precision @ root) == pytest.approx(noise * len(root))
     maps, std = problem.split_error(root)
     at = np.concatenate([stretch.position for group in problem.groups for stretch in group])
     error = problem.displace(root).reshape(len(at), 2, -1)
@@ -128,6 +133,14 @@ def test_an_undistorted_map_is_refused():
     with pytest.raises(InputError, match=r"refused, the free stretches show none: .* expected under 0\.001"):
         fit_camera_warp(Camera.from_dict(KEYS), stretches := stretches_of(film(0.0, 5)))
     assert fit_camera_warp(Camera.from_dict(KEYS), stretches, max_p=1.1).halves < 0.5
+
+
+def test_stretches_that_do_not_move_freely_are_left_out():
+    recordings = stretches_of(film(1.0, 2))
+    time, path = film(1.0, 1, seed=1)[0][0]
+    kinked = path + np.maximum(time - time.mean(), 0)[:, None]
+    recordings[1].append(fit_stretch(time, kinked, np.full(len(time), NOISE)))
+    assert _leave_out_bad(recordings) == [recordings[0], recordings[1][:-1]]
 
 
 def test_too_few_stretches_are_refused():
