@@ -221,6 +221,11 @@ class Discs:
                 f"shadows: the tracker takes {tally.shadows} dark regions beside brighter balls for their shadows; "
                 "such positions may be off by .2 px towards the lamp; their errors include 1 % of the radius"
             )
+        if self.view.camera.sensor.codec_noise:
+            yield (
+                "lossy video: the errors in tracks are those of the noise of pixels. An encoder may shift an "
+                "outline by .3 px for many frames; a measurement takes its errors from the residuals instead"
+            )
         if len(self.radii) > 1:
             yield "discs of two sizes: " + " and ".join(f"{2 * r:.1f} px across" for r in self.radii)
 

@@ -63,6 +63,14 @@ def test_the_background_that_balls_leave_free_has_true_errors():
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize("lossy", [False, True])
+def test_a_note_says_that_errors_of_lossy_video_are_too_small(lossy):
+    clip = recorded(film(np.random.default_rng(1), collision(12, 6)), Camera.from_dict(CAMERA))
+    clip.frames.lossy = lossy
+    notes = detect(clip, make_view(clip, "discs"), "discs").notes
+    assert [note.startswith("lossy video: ") for note in notes].count(True) == lossy
+
+
 def test_ground_alone_is_no_disc():
     """Clipped black, without noise: nothing differs from the ground, so the residuals are zero."""
     black = np.zeros((40, 40), np.uint8)
