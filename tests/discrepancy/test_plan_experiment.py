@@ -106,7 +106,7 @@ def test_a_report_replaces_a_plan_and_nothing_else(planned, tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 def test_the_command_writes_what_python_gives(tmp_path, monkeypatch, capsys):
-    few(monkeypatch)
+    few(monkeypatch, lambda _: 1)
     path = tmp_path / "mine.yaml"
     path.write_text(FILE)
     assert command(path, *FLAGS, "-o", tmp_path / "plan", "--json") == 0
@@ -161,7 +161,7 @@ def test_effects_are_a_list(effects):
 
 
 def test_a_scene_by_its_name_is_its_file(monkeypatch):
-    few(monkeypatch)
+    few(monkeypatch, lambda _: 1)
     given = "oblique", Scene.read("scenes/oblique.yaml")
     one, two = (discrepancy.plan(s, ["rolling_quadratic"], 6, 0.05, changes=False) for s in given)
     assert one.document() == two.document()
@@ -182,7 +182,7 @@ def test_the_physics_may_be_a_model_file_and_effects_of_ones_own(tmp_path, monke
     (tmp_path / "model.yaml").write_text("model: {restitution: 0.7}\n")
     assert command(tmp_path / "mine.yaml", "-o", tmp_path / "plan") == 2
     assert "expected numbers, as by --model MODEL.yaml" in capsys.readouterr().err
-    few(monkeypatch)
+    few(monkeypatch, lambda _: 1)
     (tmp_path / "effects").mkdir()
     words = [tmp_path / "mine.yaml", "--model", tmp_path / "model.yaml", "--clips", "6", "-o", tmp_path / "plan"]
     assert command(*words, "--effects", tmp_path / "effects") == 2

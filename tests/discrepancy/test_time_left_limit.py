@@ -32,7 +32,7 @@ def test_the_time_counts_only_where_it_is_limited():
 
 def test_each_stage_is_shown_while_it_works_and_not_where_its_result_is_known(monkeypatch):
     """The estimate of the time left takes the lengths of stages from what is shown."""
-    only(monkeypatch, air_drag=library()["air_drag"])
+    only(monkeypatch, ("force_speed",), air_drag=library()["air_drag"])
     told = []
     search(collisions(Model().replace({"air_drag.share": 5.0}), 8, 3), Model(), told.append)
     stages = [stage for stage, _ in groupby(told)]

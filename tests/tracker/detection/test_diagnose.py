@@ -139,9 +139,9 @@ def test_a_film_of_bright_and_dark_specks_names_those_left_out(bright, dark, dar
     assert "".join(describe_other_specks(film, estimate_empty_plate(film), channel))[: len(said) or None] == said
 
 
-@pytest.mark.parametrize(("channel", "count"), [("grey", 15), ("dark", 30)])
+@pytest.mark.parametrize(("channel", "count"), [("grey", 8), ("dark", 16)])
 def test_dark_specks_are_followed_in_the_channel_dark(channel, count):
     """White less grey makes the dark ones bright, also of a film in grey."""
-    result = tracker.track(np.array(speckled(15, 30)), channel=channel, detector="linear_fit")
+    result = tracker.track(np.array(speckled(8, 16)), channel=channel, detector="linear_fit")
     lengths = result.tracks.groupby("particle").size()
     assert 0.8 * count <= (lengths >= 8).sum() <= 1.1 * count
