@@ -162,7 +162,7 @@ def describe_claim(claim: EffectClaim, base: Model) -> str:
 
 def _join(parts: Sequence[str]) -> str:
     """Join parts of a sentence; one that begins with the same words as the part before leaves them out."""
-    words = [re.split(r"[-+\d]", part, maxsplit=1)[0] for part in parts]
+    words = [re.split(r"(?<= )[-+]?\d", part, maxsplit=1)[0] for part in parts]
     text = parts[0]
     for before, now, part in zip(words, words[1:], parts[1:], strict=False):
         text += f" and {part.removeprefix(now)}" if now and now == before else f", {part}"

@@ -244,7 +244,7 @@ def integrate_drag(drag: Real, t: Real) -> tuple[Real, Real]:
     drag: a number, or an array where t is one.
     """
     x = drag * t
-    weak = np.min(drag) <= 1e-3 if isinstance(drag, np.ndarray) else drag <= 1e-3  # 1/s: cancellation loses digits
+    weak = (drag <= 1e-3).any() if isinstance(drag, np.ndarray) else drag <= 1e-3  # 1/s: cancellation loses digits
     if isinstance(t, float):
         if drag == 0:
             return t, t * t / 2

@@ -85,11 +85,9 @@ def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:
     if not has_s and suffix == SUFFIXES[LOCAL] and abs(value[1]) > 3 * std[1]:
         value[3] = json.loads(row["local"])["value"][LOCAL_NAMES.index("s")]  # too uncertain for a column of its own
         has_s = bool(np.isfinite(value[3]))
-    if not has_s:  # a contact that is almost head-on: friction between the balls may push as far as this
-        usual_friction = 0.2
-        most = usual_friction * (1 + value[2]) * np.sqrt(max(1 - value[1] ** 2, 0.0)) / max(abs(value[1]), 1e-9)
+    if not has_s:  # almost head-on: both balls keep the tangential speed, or stick
         cov[3] = cov[:, 3] = 0.0
-        value[3], cov[3, 3] = 1.0, most**2
+        value[3], cov[3, 3] = 5 / 7, 0.3**2
     derived = dict(zip(DERIVED, zip(*derive_with_errors(value[:4], cov), strict=True), strict=True))
     if not has_s:
         del derived["mu_bb"]

@@ -292,6 +292,21 @@ def test_a_ball_that_spins_about_the_vertical_speeds_another_up_sideways():
     assert row.energy_lost + 3 * row.energy_lost_std < 0
 
 
+def test_a_head_on_contact_costs_what_its_restitution_takes():
+    """The share of the tangential speed that they keep is unknown there, and hardly matters."""
+    launches = [
+        {"position": [0.0, 0.0]},
+        {"position": [-0.0066, 0.0], "velocity": [0.3, 0.0]},
+        *({"position": [0.005 * k, 0.01], "velocity": [0.01, 0.0]} for k in range(4)),
+    ]
+    clip = synthcam.Scene.build("head-on", launches=launches, timing={"frames": 50}).draw()
+    [event] = clip.solve().events.query("kind == 'contact'").itertuples()
+    before, after = ((clip.solve().at([event.t_s + dt])[["vx", "vy"]].to_numpy() ** 2).sum() for dt in (-1e-9, 0))
+    [row] = tracker.measure(add_noise(clip, 0.1), clip.camera_json).contacts.itertuples()
+    assert abs(row.energy_lost - (before - after) / 2) < 3 * row.energy_lost_std
+    assert row.energy_lost_std < 0.2 * (before - after) / 2
+
+
 def test_contacts_of_one_ball_that_hide_one_another_in_turn_are_all_found():
     """Ball 29 hits 18, then 5, then 10 and 9 within a frame; one of them was lost in every other turn."""
     clip = synthcam.Scene.read("crowd").draw(seed=8)
