@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from synthcam_shared.errors import InputError
+from tracker.calibration import camera_warp
 from tracker.calibration.camera_warp import _leave_out_bad, _WarpProblem, fit_camera_warp
 from tracker.calibration.free_stretches import find_free_stretches, fit_stretch
 from tracker.camera.camera import Camera
@@ -133,6 +134,28 @@ def test_an_undistorted_map_is_refused():
     with pytest.raises(InputError, match=r"refused, the free stretches show none: .* expected under 0\.001"):
         fit_camera_warp(Camera.from_dict(KEYS), stretches := stretches_of(film(0.0, 5)))
     assert fit_camera_warp(Camera.from_dict(KEYS), stretches, max_p=1.1).halves < 0.5
+
+
+def test_held_out_stretches_have_no_part_in_the_map_that_they_test(monkeypatch):
+    problem = _WarpProblem.of([[stretch] for group in stretches_of(film(1.0, 3)) for stretch in group])
+    folds, without = [], _WarpProblem.without
+
+    def leave_out(self, fold):
+        rest = without(self, fold)
+        folds.append(({id(stretch.time) for stretch in rest.stretches}, set()))
+        return rest
+
+    def test_stretch(time, *rest):
+        folds[-1][1].add(id(time))
+        return fit_stretch(time, *rest)
+
+    monkeypatch.setattr(_WarpProblem, "without", leave_out)
+    monkeypatch.setattr(camera_warp, "fit_stretch", test_stretch)
+    problem.test_on_held_out(lambda done, of: None)
+    every = {id(stretch.time) for stretch in problem.stretches}
+    for fitted, tested in folds:
+        assert tested
+        assert fitted == every - tested
 
 
 def test_stretches_that_do_not_move_freely_are_left_out():
