@@ -116,7 +116,7 @@ def _residual_figures(found: SearchOutcome) -> tuple[Figure, Figure]:
             both[axis].axhline(0, color=COLOURS["noise"], lw=0.5)
             _mark_stages(both[axis], f"{name}, {word}", found.data.is_cut)
         both[0].set_ylabel("mean residual (µm)")
-        ax.axhline(found.gap.floor_um, color=COLOURS["noise"], lw=1, ls="--", label="noise alone, from held-out")
+        ax.axhline(found.gap.floor_um, color=COLOURS["noise"], lw=1, ls="--", label="noise alone (held-out)")
         _mark_stages(ax, name, found.data.is_cut)
     row[0].set(ylabel="rms residual in x and y (µm)", ylim=(0, None))
     means.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)

@@ -145,12 +145,12 @@ def test_held_out_stretches_have_no_part_in_the_map_that_they_test(monkeypatch):
         folds.append(({id(stretch.time) for stretch in rest.stretches}, set()))
         return rest
 
-    def test_stretch(time, *rest):
+    def note_tested(time, *rest):
         folds[-1][1].add(id(time))
         return fit_stretch(time, *rest)
 
     monkeypatch.setattr(_WarpProblem, "without", leave_out)
-    monkeypatch.setattr(camera_warp, "fit_stretch", test_stretch)
+    monkeypatch.setattr(camera_warp, "fit_stretch", note_tested)
     problem.test_on_held_out(lambda done, of: None)
     every = {id(stretch.time) for stretch in problem.stretches}
     for fitted, tested in folds:
