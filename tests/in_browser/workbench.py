@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -355,12 +356,33 @@ def test_hints_that_are_wrong_are_said(address, browser):
         assert page.locator("text=expected X,Y@FRAME").count() == 1
 
 
-def signal_runs(command, number):
-    """Send a signal to the runs of a workbench. SIGSTOP halts them, so that none ends too soon on a quick machine."""
+def list_runs(command):
+    """List the process numbers of the runs of a workbench."""
     children = subprocess.run(["pgrep", "-P", str(command.pid)], capture_output=True, text=True).stdout.split()
     assert children
-    for child in children:
-        os.kill(int(child), number)
+    return [int(child) for child in children]
+
+
+def signal_runs(command, number):
+    """Send a signal to the runs of a workbench. SIGSTOP halts them, so that none ends too soon on a quick machine."""
+    for child in list_runs(command):
+        os.kill(child, number)
+
+
+def continue_interrupted_runs(command):
+    """Let halted runs go on once the workbench has interrupted them; before that, a quick machine would end them."""
+    runs = list_runs(command)
+    assert until(lambda: all(map(is_interrupt_pending, runs)), 20.0)
+    signal_runs(command, signal.SIGCONT)
+
+
+def is_interrupt_pending(process):
+    status = Path(f"/proc/{process}/status").read_text()
+    return any(
+        int(line.split()[1], 16) >> (signal.SIGINT - 1) & 1
+        for line in status.splitlines()
+        if line.startswith(("SigPnd", "ShdPnd"))
+    )
 
 
 def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, tmp_path):
@@ -370,8 +392,8 @@ def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, t
         says(page, "#run-time", r"^\d+ s, about \d+ s left$")
         signal_runs(command, signal.SIGSTOP)
         says(page, "#run-time", r"^[4-9] s")  # the clock of the page goes on while nothing is heard of the run
-        signal_runs(command, signal.SIGCONT)
         page.click("#cancel")
+        continue_interrupted_runs(command)
         says(page, "#run-state", "Cancelled")
         page.click("#run")
         says(page, "#run-state", r"Tracking \d+ of 4800 frames")
@@ -379,7 +401,9 @@ def test_a_run_is_cancelled_and_one_that_is_killed_is_reported(films, browser, t
         says(page, "#run-state", "ended by signal 9")
         page.click("#run")
         says(page, "#run-state", r"Tracking \d+ of 4800 frames")
+        signal_runs(command, signal.SIGSTOP)
         command.send_signal(signal.SIGINT)  # Ctrl-C ends the child, too
+        continue_interrupted_runs(command)
         assert command.wait(20) == 130
         assert "interrupted; finished runs stay" in command.stderr.read()
         says(page, "#message", "does not answer")
@@ -420,7 +444,7 @@ def test_a_run_goes_on_when_its_page_is_closed_and_is_there_again(films, browser
 def test_ctrl_c_ends_a_run_whose_page_is_closed(films, browser, tmp_path):
     with left_during_a_run(films, browser, tmp_path / "bench") as (command, _):
         command.send_signal(signal.SIGINT)
-        signal_runs(command, signal.SIGCONT)
+        continue_interrupted_runs(command)
         assert command.wait(60) == 130
     assert not (tmp_path / "bench/results_1").exists()
     assert not is_left_over(tmp_path)
