@@ -1,4 +1,4 @@
-"""Compute which strength of each effect an experiment could detect and name, from the effects' signatures.
+"""Limits of each strength: which size of an effect an experiment could detect and name, from the effects' signatures.
 
 The signature of an effect is its change of the whitened tracks, less all that shared parameters and launches absorb.
 """

@@ -207,8 +207,9 @@ def _test_table(found: SearchOutcome) -> list[Block]:
     fitted, predicted = len(found.data.clips), len(found.data.held_out)
     note = (
         f"The table shows two of the tests; the result is that of all tests. The first test predicts the {predicted} "
-        f"held-out {unit}. The expected significance is the one that the claimed strength would give there. Both allow "
-        f"for the error of that strength. The second test predicts all {fitted + predicted} {unit}, each by a fit that "
+        f"held-out {unit}. The expected significance is the one that the claimed strength would give there. The error "
+        "of that strength lowers both, so they are less than the root of the fall of chi². The second test predicts "
+        f"all {fitted + predicted} {unit}, each by a fit that "
         f"did not use it. For a fitted {unit.one} that is the fit to the other {fitted - 1}. The second significance "
         f"may exceed that of the effect in the fit: it counts more {unit}, and neither model was fitted to them."
     )

@@ -1,4 +1,4 @@
-"""Trackers by name, run on the films of a suite."""
+"""Trackers by name: run on the films of a suite, and described for their entries."""
 
 from __future__ import annotations
 

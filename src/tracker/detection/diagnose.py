@@ -1,4 +1,4 @@
-"""Explains why a clip shows no ball that can be tracked, in words that say what to change."""
+"""Explains why a clip shows no ball that can be tracked, with what to change; warns of a moving camera."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -245,17 +245,17 @@ def _judge(score: DetectorScore, max_lost: float = 0.01, near_bound: float = 1.5
     if far := {n: x for n, x in ratio.items() if x > near_bound * allowed[n]}:
         worst = max(far, key=lambda n: far[n])
         return (
-            f"Good enough to measure with: the standard errors are correct. But the errors of {worst} are "
+            f"Good enough to measure with: the standard errors agree with the truth. But the errors of {worst} are "
             f"{far[worst]:.2g} times as large as the noise of the sensor requires."
         )
     if any(x > near_bound for x in ratio.values()):
         return (
-            "Good enough to measure with: the standard errors are correct. "
+            "Good enough to measure with: the standard errors agree with the truth. "
             "With so few clips it is unknown whether they could be smaller."
         )
     return (
-        "Good enough to measure with: the standard errors are correct, "
-        "and about as small as the noise of the sensor allows."
+        "Good enough to measure with: the standard errors agree with the truth, "
+        "and are about as small as the noise of the sensor allows."
     )
 
 

@@ -45,7 +45,7 @@ def test_the_lines_hold_the_figures():
 @pytest.mark.parametrize(
     ("score", "said"),
     [
-        (GOOD, "Good enough to measure with: the standard errors are correct, and about"),
+        (GOOD, "Good enough to measure with: the standard errors agree with the truth, and are about"),
         (
             dataclasses.replace(GOOD, tracking={"swaps": 2}),
             "Not good enough to track these balls: 0.2 % missed or false, 2 identity swaps",
@@ -58,11 +58,11 @@ def test_the_lines_hold_the_figures():
         (with_quantity("r", z_mean=2.0, z_std=0.0), "Not good enough for error bars: the errors of r are 2 times its"),
         (
             with_quantity("mu_k", ratio=2.5),
-            "Good enough to measure with: the standard errors are correct. But the errors of mu_k are 2.5 times",
+            "Good enough to measure with: the standard errors agree with the truth. But the errors of mu_k are 2.5",
         ),
         (
             with_quantity("mu_k", ratio=2.5, n=6),
-            "Good enough to measure with: the standard errors are correct. With so few clips",
+            "Good enough to measure with: the standard errors agree with the truth. With so few clips",
         ),
         (with_quantity("tau2_free", z_std=3.0), "Good enough to measure with"),
         (
