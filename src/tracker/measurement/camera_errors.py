@@ -20,7 +20,7 @@ from tracker.camera.camera import Camera, LampSettings
 from tracker.camera.views import perturb_view, scale_at
 from tracker.camera.warp import Warp
 from tracker.measurement.collision.collision_fit import CollisionFits
-from tracker.measurement.collision.collision_model import GRAVITY
+from tracker.measurement.collision.collision_model import GRAVITY, TIED, compute_unit_vectors
 from tracker.measurement.collision.departures import derive_values
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free
 from tracker.measurement.collision.lasting_contact import LastingFit, LastingResiduals
@@ -256,7 +256,22 @@ def differentiate_residuals(fit: CollisionFit, errors: Sequence[CameraError], ca
         problem = WhitenedResiduals(error.pair(fit.pair, by, camera.fps), fit.is_tied)
         return problem.residual(fit.parameters[problem.index])
 
-    return differentiate_by_camera(errors, moved)
+    return np.column_stack(
+        [
+            _differentiate_by_diameter(fit, error)
+            if error.key == "ball_diameter"
+            else differentiate_by_camera([error], moved)[:, 0]
+            for error in errors
+        ]
+    )
+
+
+def _differentiate_by_diameter(fit: CollisionFit, error: CameraError) -> Array:
+    """Differentiate the residuals (m,) by the diameter: ball 2 stands off ball 1 by it, along the line of centres."""
+    problem = fit.linearised[0]
+    _, normal, _ = compute_unit_vectors(fit.parameters[TIED.index("heading")], fit.parameters[TIED.index("beta")])
+    shift = np.outer(problem.ball == 2, -error.share * fit.pair.diameter * normal)
+    return np.concatenate([problem.whiten(shift[None])[0], np.zeros(len(problem.index))])
 
 
 def differentiate_by_camera(errors: Sequence[CameraError], function: Callable[[CameraError, float], Array]) -> Array:

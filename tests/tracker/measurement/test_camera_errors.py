@@ -12,9 +12,13 @@ from tracker_noisy import BENCHMARK, dataset, noisy, truth_of
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.detection.link import to_centres
+from tracker.measurement.camera_errors import CameraError, differentiate_residuals
+from tracker.measurement.collision.contacts import find_contacts, prepare_contact
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.measurement.estimate import fit_all_jointly, measure
+from tracker.measurement.collision.least_squares import WhitenedResiduals
+from tracker.measurement.estimate import fit_all_jointly, fit_collision, measure
 from tracker.measurement.local.local_estimate import estimate_locally
+from tracker.measurement.positions import to_ball_tracks
 from tracker.settings import FitSettings
 
 pytestmark = pytest.mark.usefixtures("not_local")
@@ -36,6 +40,25 @@ def wrong(camera, key, off, share=SHARE):
 
 
 LOW, OFF = 0.08, 0.012  # m: height of the lamp, error of each of its coordinates
+
+
+@pytest.mark.parametrize("tied", [True, False])
+def test_residuals_change_with_the_diameter_as_with_other_balls(own, tied):
+    """Against residuals of the same motion of balls that are a little larger, and smaller."""
+    truth, camera = truth_of(own, 0)
+    balls = to_ball_tracks(noisy(truth, np.random.default_rng(0)), camera)
+    [found] = find_contacts(balls, camera.ball_diameter)
+    read = fit_collision(prepare_contact(found, camera.ball_diameter, {}, FitSettings()))
+    fit, share = read.tied if tied else read.free, 1e-3
+
+    def residual(size):
+        problem = WhitenedResiduals(replace(fit.pair, diameter=size * fit.pair.diameter), tied)
+        return problem.residual(fit.parameters[problem.index])
+
+    by = differentiate_residuals(fit, [CameraError("ball_diameter", camera.ball_diameter, share)], camera)
+    expected = (residual(1 + share) - residual(1 - share)) / 2
+    assert by[:, 0] == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+    assert np.abs(expected).max() > 0.1
 
 
 def test_the_lamps_error_is_that_of_centres_from_glints(own):

@@ -315,15 +315,16 @@ def _rough_chi2(pair: BallPair, tied: Array) -> Array:
     for ball, track in pair.balls:
         at, contact = AFTER[ball], free[:, 1:3] - (ball - 1) * pair.diameter * normal
         v, f, tau = free[:, at : at + 2], free[:, at + 2 : at + 4], np.exp(free[:, at + 4 : at + 5])
-        since = track.time - free[:, :1]  # (k, n)
+        later = track.time > free[:, 0].min()
+        since = track.time[later] - free[:, :1]  # (k, n)
         slide = np.clip(since, 0.0, tau)
         speed = np.maximum(np.hypot(f[:, 0], f[:, 1]), 1e-9)[:, None]
         loss = free[:, 6:7] * speed + free[:, 7:8]
         roll = np.clip(since - tau, 0.0, speed / loss)
         grown = roll - loss * roll**2 / (2 * speed) + slide**2 / (2 * tau)  # weight of f
         distance = (slide - slide**2 / (2 * tau))[..., None] * v[:, None] + grown[..., None] * f[:, None]
-        off = contact[:, None] + distance - track.position
-        total += np.where(since > 0, track.whiten.distance(off), 0.0).sum(-1)
+        off = contact[:, None] + distance - track.position[later]
+        total += np.where(since > 0, track.whiten.distance(off, later), 0.0).sum(-1)
     return total
 
 

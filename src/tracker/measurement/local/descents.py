@@ -21,6 +21,10 @@ from tracker.measurement.local.stretches import Stretch, evaluate_path
 
 Found = TypeVar("Found")
 
+# A problem is as good as linear if each step so far has gained this share of what it would gain in a linear one.
+# Damping then only slows the descent down, and falls by this factor.
+LINEAR_SHARE, LINEAR_DAMPING_FACTOR = 0.95, 1e-3
+
 
 @dataclass(frozen=True)
 class Descent:
@@ -115,17 +119,21 @@ def _solve_stack(descents: Sequence[Descent]) -> list[list[LocalSolution]]:
     active = np.arange(len(x))
     cost, pull, square = stack.sum_squares(x, active)
     damping, turns = np.full(len(x), 1e-3), np.zeros(len(x), dtype=int)
+    is_linear = np.ones(len(x), dtype=bool)
     while len(active):
-        size = np.sqrt(np.diagonal(square[active], axis1=1, axis2=2) + 1e-12)
-        damped = square[active] / size[:, :, None] / size[:, None]
+        start, own_cost, own_pull, own_square = x[active], cost[active], pull[active], square[active]
+        size = np.sqrt(np.diagonal(own_square, axis1=1, axis2=2) + 1e-12)
+        damped = own_square / size[:, :, None] / size[:, None]
         damped[:, each, each] += damping[active][:, None]
-        step = -solve_each(damped, (pull[active] / size)[..., None])[..., 0] / size
-        tried = stack.keep_within_reach(x[active], step)
+        step = -solve_each(damped, (own_pull / size)[..., None])[..., 0] / size
+        tried = stack.keep_within_reach(start, step)
         new, new_pull, new_square = stack.sum_squares(tried, active)
-        better = new <= cost[active]
-        gain, at = (cost[active] - new)[better], active[better]
+        better, moved = new <= own_cost, tried - start
+        predicted = -(moved * (2 * own_pull + (own_square @ moved[..., None])[..., 0])).sum(axis=1)
+        gain, at = (own_cost - new)[better], active[better]
         x[at], cost[at], pull[at], square[at] = tried[better], new[better], new_pull[better], new_square[better]
-        damping[active] *= np.where(better, 0.2, 8.0)
+        is_linear[active] &= better & (own_cost - new > LINEAR_SHARE * predicted)
+        damping[active] *= np.where(better, np.where(is_linear[active], LINEAR_DAMPING_FACTOR, 0.2), 8.0)
         turns[at] += 1
         ends = np.zeros(len(x), dtype=bool)
         ends[at] = (gain < least_gain[at] * (1 + 1e-3 * cost[at])) | (turns[at] >= steps[at])

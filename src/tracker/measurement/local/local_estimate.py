@@ -29,7 +29,7 @@ from tracker.measurement.local.local_fit import (
     weigh_by_residuals,
 )
 from tracker.measurement.local.local_problem import KnownEnd, KnownSlips, LocalPriors, LocalSolution
-from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, cut_stretch
+from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, cut_stretch, find_rows
 from tracker.measurement.positions import measure_separation
 
 MIN_POSITIONS = 3  # of each stretch
@@ -116,9 +116,7 @@ def estimate_in_steps(
         priors = _allow_for_duration(known, stretches, contact, camera)
         found = yield from fit_motions(stretches, instant, rests, glides, priors, before)
         late, instant = float(found[0].x[0]) - instant, float(found[0].x[0])
-        again = _cut_stretches(contact, camera, instant)
-        same = all(len(a) == len(b) for a, b in zip(whole, again, strict=True))
-        if turn == 2 or lasts or same or abs(late) > 3 / camera.fps:
+        if turn == 2 or lasts or abs(late) > 3 / camera.fps or _has_stretches(contact, camera, instant, late, whole):
             break
     weighed = yield from weigh_by_residuals(found, claimed)
     mixture = yield from mix_solutions(weighed)
@@ -174,11 +172,28 @@ def _guess_instant(contact: Contact, camera: Camera) -> float:
 
 def _cut_stretches(contact: Contact, camera: Camera, instant: float) -> list[Stretch]:
     """The four stretches in the order of SIDES, without the frames of a contact that lasts."""
-    tracks, frame_s = dict(contact.pair.balls), 1 / camera.fps
-    half = (contact.end - contact.start + 1) / 2 * frame_s if contact.end > contact.start else 0.0
-    span = instant - half, instant + half
-    window_s = contact.pair.settings.local_window_s
-    return [cut_stretch(tracks[ball], ball, after, window_s, span, frame_s) for ball, after in SIDES]
+    tracks, window_s, span = dict(contact.pair.balls), contact.pair.settings.local_window_s, _span(contact, camera)
+    first_and_last = instant - span / 2, instant + span / 2
+    return [cut_stretch(tracks[ball], ball, after, window_s, first_and_last, 1 / camera.fps) for ball, after in SIDES]
+
+
+def _has_stretches(contact: Contact, camera: Camera, instant: float, late: float, cut: Sequence[Stretch]) -> bool:
+    """Decide whether a contact at `instant` has stretches as long as those that were cut for one `late` s earlier."""
+    tracks, window_s, span = dict(contact.pair.balls), contact.pair.settings.local_window_s, _span(contact, camera)
+    for ball, after in SIDES:
+        now, before = (
+            find_rows(tracks[ball], after, window_s, (middle - span / 2, middle + span / 2), 1 / camera.fps)
+            for middle in (instant, instant - late)
+        )
+        if not all(map(np.array_equal, now, before)):
+            again = _cut_stretches(contact, camera, instant)
+            return all(len(a) == len(b) for a, b in zip(cut, again, strict=True))
+    return True
+
+
+def _span(contact: Contact, camera: Camera) -> float:
+    """The time of the frames of a contact that lasts, s; 0 of one that does not."""
+    return (contact.end - contact.start + 1) / camera.fps if contact.end > contact.start else 0.0
 
 
 def _read_values(

@@ -95,10 +95,7 @@ def cut_stretch(
     contact: its first and last instant, s. A body that moves is followed to the next contact only. More positions than
     MAX_POSITIONS are averaged in groups of neighbours.
     """
-    (first, last), half = contact, track.exposure / 2
-    mine = (track.time - half > last) if after else (track.time + half < first)
-    rows = np.flatnonzero(mine & (track.time >= first - window_s) & (track.time <= last + window_s))
-    near = CUTTER.is_beside(track.time, first, last, frame_s)
+    rows, near = find_rows(track, after, window_s, contact, frame_s)
     rows = _keep_free_motion(track, rows, near[rows], after, frame_s)
     near = near[rows]
     size = np.where(near, NEAR_ERRORS, 1.0)[:, None, None] ** 2
@@ -120,6 +117,16 @@ def cut_stretch(
         return whole
     group = np.where(order < KEPT_POSITIONS, order, KEPT_POSITIONS + (order - KEPT_POSITIONS) // step)
     return _average(whole, group if after else group.max() - group)
+
+
+def find_rows(
+    track: BallTrack, after: bool, window_s: float, contact: tuple[float, float], frame_s: float
+) -> tuple[Ints, Flags]:
+    """Find the rows from which `cut_stretch` cuts a stretch, and of each row of the track whether it is near."""
+    (first, last), half = contact, track.exposure / 2
+    mine = (track.time - half > last) if after else (track.time + half < first)
+    rows = np.flatnonzero(mine & (track.time >= first - window_s) & (track.time <= last + window_s))
+    return rows, CUTTER.is_beside(track.time, first, last, frame_s)
 
 
 def _average(whole: Stretch, group: Ints) -> Stretch:

@@ -53,9 +53,9 @@ class PositionWhitener:
             out[..., part] = _product(whole, block.T).T.reshape(*errors.shape[:-2], -1)
         return out if self.kept is None else compute_innovations(out, self.kept)
 
-    def distance(self, errors: Array) -> Array:
-        """(..., n) squared Mahalanobis distance of each position by itself, errors (..., n, 2)."""
-        root, x, y = self.alone, errors[..., 0], errors[..., 1]
+    def distance(self, errors: Array, rows: Flags | slice = slice(None)) -> Array:
+        """(..., n) squared Mahalanobis distance of each position by itself, errors (..., n, 2) of n of the rows."""
+        root, x, y = self.alone[rows], errors[..., 0], errors[..., 1]
         return np.asarray((root[:, 0, 0] * x) ** 2 + (root[:, 1, 0] * x + root[:, 1, 1] * y) ** 2)
 
 

@@ -15,7 +15,7 @@ from tracker.measurement.local.descents import (
     solve_each,
 )
 from tracker.measurement.local.local_problem import KnownEnd, KnownSlips, LocalPriors, LocalProblem
-from tracker.measurement.local.stretches import ROLL, SLIDE_AND_ROLL, Stretch
+from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Stretch
 
 DIAMETER, NOISE = 0.05, 1e-5
 
@@ -101,6 +101,19 @@ def test_hits_are_solved_together_as_alone(lasting):
             assert getattr(together, name) == pytest.approx(getattr(alone, name), rel=1e-9, abs=1e-9), name
         assert together.sizes == tuple(descent.sizes)
     assert len({one.cost for [one] in found}) == len(found)
+
+
+def test_damping_slows_no_descent_of_a_linear_problem(monkeypatch):
+    """Bodies that glide: only the distance at the contact is not linear. A descent without damping takes four steps."""
+    problem, steps, sum_squares = make_problem(1, 20), [], ProblemStack.sum_squares
+    problem = replace(problem, motions=(SLIDE,) * 4, glide=True)
+    start = np.zeros(problem.size)
+    start[:7] = guess(problem)[:7]
+    monkeypatch.setattr(ProblemStack, "sum_squares", lambda *given: steps.append(0) or sum_squares(*given))
+    [[found]] = solve_descents([Descent([problem], start[None], [1.0] * 4)])
+    assert len(steps) <= 5
+    [[exact]] = solve_descents([Descent([problem], found.x[None], [1.0] * 4, least_gain=0.0)])
+    assert found.cost == pytest.approx(exact.cost, abs=1e-6)
 
 
 def test_slips_have_the_errors_of_draws():

@@ -64,6 +64,14 @@ def test_balls_are_measured_without_a_law_of_the_impact(spin):
     assert np.sqrt(np.mean(np.square(every))) < 1.6
 
 
+def test_stretches_are_cut_once_where_the_fit_moves_the_contact_to_no_other_frame(monkeypatch):
+    paths, _ = play_hit(0.35, 0.35)
+    cut, cut_stretch = [], local_estimate.cut_stretch
+    monkeypatch.setattr(local_estimate, "cut_stretch", lambda *given: cut.append(given[1:3]) or cut_stretch(*given))
+    assert measure(film(paths, BALLS, np.random.default_rng(0)), BALLS).rows[0]["chi2_local"] > 0
+    assert cut == list(local_estimate.SIDES)
+
+
 def glide(x, v, spin_free_loss, t):
     speed = np.hypot(*v)
     return x + v * t[:, None] - (spin_free_loss * t**2 / 2)[:, None] * v / max(speed, 1e-12)
