@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from logging.handlers import BufferingHandler
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tifffile
@@ -162,7 +162,12 @@ def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout) -> tuple[st
     the pixels of others, and bytes for frames that no page refers to. If a stack has several files, only this one is
     checked.
     """
-    every, bilevel = [each for each in _list_pages(tif) if each is not None and each.parent is tif], (2, 3, 4)
+    bilevel, tags = (2, 3, 4), [_read_tags(tif, offset) for offset in _list_page_offsets(tif)]
+    if layout.offset is None:
+        every = [each for each in _list_pages(tif) if each is not None and each.parent is tif]
+    else:  # to read a page takes as long as to measure a glint: of pages with the same tags, one is read
+        first = dict(reversed([(each.content, k) for k, each in enumerate(tags)]))
+        every = [tif.pages[k] for k in first.values()]
     for each in every:
         if int(each.compression) in bilevel and int(each.bitspersample) != 1:
             raise InputError(f"{path}: damaged, pixels of {each.bitspersample} bits, compressed as black and white")
@@ -182,10 +187,7 @@ def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout) -> tuple[st
     else:
         size = layout.total * math.prod(layout.plane) * layout.dtype.itemsize
         frames, data, count = [], {(layout.offset, layout.offset + size)}, layout.total
-    about = {(0, 16 if tif.is_bigtiff else 8)}
-    read_before = {int(each.offset) for each in every}  # to read a page takes as long as to measure a glint
-    for offset in read_before if len(read_before) == len(tif.pages) else [int(each.offset) for each in tif.pages]:
-        about |= _list_tags(tif, offset)
+    about = {(0, 16 if tif.is_bigtiff else 8)}.union(*(each.spans for each in tags))
     spans = sorted((first, last, name) for name, some in (("pixels", data), ("tags", about)) for first, last in some)
     for before, after in pairwise(spans):
         if after[0] < before[1] and "pixels" in (before[2], after[2]):
@@ -204,21 +206,49 @@ def _list_pages(tif: tifffile.TiffFile) -> Any:
     return tif.pages if len(tif.series) > 1 else tif.series[0].pages
 
 
-def _list_tags(tif: tifffile.TiffFile, offset: int) -> set[tuple[int, int]]:
-    """The bytes of the tags of a page, and of the values that lie apart from them."""
+class _PageTags(NamedTuple):
+    """The tags of a page: where they lie in the file, and what they say."""
+
+    spans: tuple[tuple[int, int], ...]  # first and beyond last byte, also of values that lie apart from their tags
+    content: tuple[bytes, ...]  # all but where the pixels and those values lie
+
+
+def _list_page_offsets(tif: tifffile.TiffFile) -> list[int]:
+    """Where the tags of each page lie: each page says where the next one is."""
+    tiff: Any = tif.tiff
+    file, found, pages = tif.filehandle, list[int](), len(tif.pages)
+    file.seek(tiff.offsetsize)  # in the header, the offset of the first page
+    for _ in range(pages):
+        (offset,) = struct.unpack(tiff.offsetformat, file.read(tiff.offsetsize))
+        found.append(offset)
+        file.seek(offset)
+        (count,) = struct.unpack(tiff.tagnoformat, file.read(tiff.tagnosize))
+        file.seek(offset + tiff.tagnosize + count * tiff.tagsize)
+    return found
+
+
+def _read_tags(tif: tifffile.TiffFile, offset: int) -> _PageTags:
+    """Read the tags of a page as they are stored."""
+    strip_offsets = 273  # the number of the tag
     tiff: Any = tif.tiff
     file, order, inline = tif.filehandle, tiff.byteorder, tiff.offsetsize
     file.seek(offset)
     (count,) = struct.unpack(tiff.tagnoformat, file.read(tiff.tagnosize))
     tags = file.read(count * tiff.tagsize)
-    found = {(offset, offset + tiff.tagnosize + len(tags) + inline)}
-    for each in struct.iter_unpack(f"{order}HH{'Q' if inline == 8 else 'I'}{inline}s", tags):
-        _, kind, values, where = each
+    spans, content = [(offset, offset + tiff.tagnosize + len(tags) + inline)], list[bytes]()
+    for start in range(0, len(tags) - tiff.tagsize + 1, tiff.tagsize):
+        tag = tags[start : start + tiff.tagsize]
+        number, kind, values = struct.unpack_from(f"{order}HH{'Q' if inline == 8 else 'I'}", tag)
         size = values * struct.calcsize(f"={tifffile.TIFF.DATA_FORMATS.get(kind, '')}")
+        content.append(tag[:-inline])
         if size > inline:
-            first = int.from_bytes(where, "little" if order == "<" else "big")
-            found.add((first, first + size))
-    return found
+            first = int.from_bytes(tag[-inline:], "little" if order == "<" else "big")
+            spans.append((first, first + size))
+            file.seek(first)
+            content.append(file.read(min(size, 1 << 16)))
+        elif number != strip_offsets:
+            content.append(tag[-inline:])
+    return _PageTags(tuple(spans), tuple(content))
 
 
 def _read_by_offset(path: Path, layout: _Layout, dtype: np.dtype[Any]) -> Callable[[int], Any]:

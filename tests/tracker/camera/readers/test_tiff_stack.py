@@ -119,3 +119,20 @@ def test_pages_with_the_pixels_of_others_are_counted_once_for_all_strips(tmp_pat
     whole[second : second + 24] = whole[first : first + 24]
     path.write_bytes(whole)
     assert any(note.startswith("1 pages have the pixels of another page") for note in read(path)[1])
+
+
+@pytest.mark.parametrize("kind", ["ImageJ", "plain", "large", "big-endian"])
+def test_of_pages_with_the_same_tags_few_are_parsed_and_any_other_is(kind, tmp_path, monkeypatch):
+    """A damaged tag of a late page is found, although that page need not be read for its pixels."""
+    path, parsed, parse = tmp_path / "stack.tif", [], tifffile.TiffPage.__init__
+    tifffile.imwrite(path, np.resize(MOVIE, (60, 24, 32)), photometric="minisblack", **KINDS[kind])
+    with tifffile.TiffFile(path) as tif:
+        tag = tif.pages[50].tags["BitsPerSample"]
+    monkeypatch.setattr(tifffile.TiffPage, "__init__", lambda self, *a, **k: parsed.append(0) or parse(self, *a, **k))
+    read(path)
+    assert len(parsed) < 15
+    whole = bytearray(path.read_bytes())
+    whole[tag.offset + 2 : tag.offset + 4] = b"\xff\xff"  # no type of a value has this number
+    path.write_bytes(whole)
+    with pytest.raises(InputError, match="damaged"):
+        read(path)
