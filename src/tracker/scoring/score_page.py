@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import tifffile
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from synthcam_shared.arrays import Array
@@ -125,8 +126,8 @@ def draw_score_figures(score: DetectorScore, results: Path, dataset: Path) -> di
         out["separation"] = draw_separation(view)
         out["energy"] = draw_energy(view, tracks)
         for name, method in (("tied", ""), ("free", "_free"), ("local", "_local"), ("paper", "_paper")):
-            if f"r{method}" in score.table:
-                out[name] = draw_quantity_errors(score.table, method)
+            if measured := list_measured(score.table, method):
+                out[name] = draw_quantity_errors(score.table, method, measured)
         out["honesty"] = draw_error_bars(score.table)
     return out
 
@@ -213,19 +214,25 @@ def _read_picture(dataset: Path, clip: int, frame: int) -> Array | None:
         raise InputError(f"{path}: damaged ({' '.join(str(error).split())[:120]})") from None
 
 
-def draw_quantity_errors(table: pd.DataFrame, kind: str) -> Figure:
-    """Draw estimate minus truth with error bars against v0, one panel for each quantity.
+def list_measured(table: pd.DataFrame, kind: str) -> list[str]:
+    """List the quantities that a method measures in any clip; kind: as in `draw_quantity_errors`."""
+    return [name for name in QUANTITY_NAMES if _claims(table, name, kind) is not None]
+
+
+def draw_quantity_errors(table: pd.DataFrame, kind: str, names: Sequence[str]) -> Figure:
+    """Draw estimate minus truth with error bars against v0, one panel for each quantity of `list_measured`.
 
     kind: "" for the tied fit, "_free" for the free fit, "_local" for the local estimate, "_paper" for finite
     differences.
     """
-    names = [n for n in QUANTITY_NAMES if f"{n}_true" in table and _claims(table, n, kind) is not None]
-    columns, rows = 4, max(1, -(-len(names) // 4))
+    columns, rows = 4, -(-len(names) // 4)
     height = 1.9 * rows + 0.3
     figure = Figure(figsize=(10.2, height))
     figure.subplots_adjust(0.055, 0.5 / height, 0.99, 1 - 0.25 / height, wspace=0.3, hspace=0.32)
-    panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True)).ravel()
-    for axes, name in zip(panels, names, strict=False):
+    panels = list[Axes]()
+    for number, name in enumerate(names, 1):
+        axes = figure.add_subplot(rows, columns, number, sharex=panels[0] if panels else None)
+        panels.append(axes)
         quantity, factor = QUANTITIES[name], QUANTITIES[name].error_factor
         claims = _claims(table, name, kind)
         assert claims is not None
@@ -236,9 +243,7 @@ def draw_quantity_errors(table: pd.DataFrame, kind: str) -> Figure:
         low, high = min(low, 0.0), max(high, 0.0)
         axes.set_ylim(low - 0.2 * (high - low), high + 0.2 * (high - low))
         axes.set_title(f"{quantity.formula}: error / {quantity.error_unit}", fontsize=9)
-        axes.tick_params(labelsize=7)
-    for axes in panels[len(names) :]:
-        axes.set_axis_off()
+        axes.tick_params(labelsize=7, labelbottom=number + columns > len(names))
     figure.supxlabel("speed of the striker, $v_0$ / (cm/s)", fontsize=9)
     return figure
 

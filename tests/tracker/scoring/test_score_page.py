@@ -2,6 +2,7 @@
 
 import base64
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,6 +72,18 @@ def test_figures_have_labelled_axes_with_units(drawn):
         assert all("error / " in a.get_title() for a in shown[name].axes if a.axison)
         assert "cm/s" in shown[name].get_supxlabel()
     assert shown["separation"].axes[0].get_legend() is not None
+
+
+def test_a_quantity_that_no_clip_measures_has_no_panel(folders, drawn):
+    data, found = folders
+    verdict, shown = drawn
+    table = verdict.table.copy()
+    table[[name for name in table if name.endswith("_local")]] = np.nan
+    table["s_std"] = np.nan
+    fewer = draw_score_figures(replace(verdict, table=table), found, data)
+    assert set(shown) - set(fewer) == {"local"}
+    assert len(shown["tied"].axes) - len(fewer["tied"].axes) == 1
+    assert all(axes.axison for figure in fewer.values() for axes in figure.axes)
 
 
 def test_detections_are_drawn_where_they_were_found(folders, drawn):
