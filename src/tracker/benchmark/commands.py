@@ -131,10 +131,10 @@ def _print_leaderboard(entries: Sequence[Mapping[str, Any]], notes: Sequence[str
     if as_json:
         print(json.dumps({"report": str(output), "notes": list(notes), "leaderboard": rows}))
         return
-    print(f"{'':<30}{'score':>7}{'rmse/bound':>12}{'found':>8}{'false':>10}{'HOTA':>8}{'ms/frame':>10}")
+    print(f"{'':<30}{'score':>7}{'rmse/bound':>12}{'found':>8}{'false':>10}{'HOTA':>8}{'crowds':>8}{'ms/frame':>10}")
     for line in rows:
-        keys = ("score", "ratio_median", "found", "false_per_ball", "hota", "ms_per_frame")
+        keys = ("score", "ratio_median", "found", "false_per_ball", "hota", "crowd_hota", "ms_per_frame")
         texts = ["–" if line[key] is None else f"{line[key]:.3g}" for key in keys]
-        widths = (7, 12, 8, 10, 8, 10)
+        widths = (7, 12, 8, 10, 8, 8, 10)
         print(f"{line['name']:<30}" + "".join(f"{text:>{width}}" for text, width in zip(texts, widths, strict=True)))
     print(output / "index.html")

@@ -18,7 +18,7 @@ from synthcam_shared.jobs import Progress, run_all_jobs
 from synthcam_shared.outputs import open_resumable
 from synthcam_shared.settings import did_you_mean
 from tracker.benchmark.judging.entry import make_entry
-from tracker.benchmark.judging.tracker_results import TrackerResults, take_clip
+from tracker.benchmark.judging.tracker_results import ClipSample, TrackerResults, take_clip
 from tracker.benchmark.report.leaderboard import ENTRIES, name_entry_file, read_entries, write_entry, write_leaderboard
 from tracker.benchmark.report.page import write_report
 from tracker.benchmark.suite.definition import Suite
@@ -143,9 +143,13 @@ def read_submission_form(folder: Path) -> dict[str, Any]:
 def read_tables(
     suite: Suite, folder: Path, point: str, progress: Progress = lambda done, of: None
 ) -> tuple[TrackerResults, list[str]]:
-    """Read the tables of a submission, measure each clip with its camera, and list missing tables."""
+    """Read the tables of a submission, measure each clip with its camera, and list missing tables.
+
+    Films of crowds without any table are left out of the entry.
+    """
     found: dict[tuple[str, int], Result] = {}
-    notes = []
+    notes, absent = [], []
+    crowds = {suite.parts[name].film for name in suite.definition.crowds}
     films = dict.fromkeys(part.film for part in suite.parts.values())
     _check_names(folder, list(films))
     for number, film in enumerate(films, 1):
@@ -159,12 +163,15 @@ def read_tables(
         for clip, tracks in given.items():
             own = "centre" if camera[clip].matte else point
             found[film, clip] = measure_tracks(tracks, camera[clip], clip, own)
-        if missing := len(clips) - len(given):
+        if film in crowds and not given:
+            absent.append(film)
+            notes.append(f"{film}: no table, so the entry has no figures of these crowds")
+        elif missing := len(clips) - len(given):
             notes.append(f"{film}: no table of {missing} of {len(clips)} clips, which count as not found")
         progress(number, len(films))
     if not any(len(result.tracks) for result in found.values()):
         raise InputError(f"{folder}: no position in any table, expected the balls of {', '.join(films)}")
-    return TrackerResults(partial(take_clip, found)), notes
+    return TrackerResults(partial(take_clip, found), ClipSample(without=tuple(absent))), notes
 
 
 def _check_names(folder: Path, films: list[str]) -> None:

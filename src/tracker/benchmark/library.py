@@ -80,6 +80,12 @@ class TrackerRun:
         index = pd.MultiIndex.from_tuples(list(rows), names=["part", "quantity"])
         return pd.DataFrame(list(rows.values()), index=index, columns=quantities, dtype=float)
 
+    @cached_property
+    def crowds(self) -> pd.DataFrame:
+        """Scores of films of crowds, a row for each; docs/benchmark.md describes the columns. Empty without crowds."""
+        found = self.entry.get("crowds", {})
+        return pd.DataFrame.from_dict(dict(found), orient="index", dtype=float).rename_axis("part")
+
     def __repr__(self) -> str:
         lost = self.table["found"] < 1
         name = self.entry["tracker"]["name"]

@@ -3,14 +3,16 @@
 import json
 import shutil
 import sys
+from dataclasses import replace
 
 import pandas as pd
 import pytest
-from benchmark_suite import Given, noisy, simulated, suite
+from benchmark_suite import TINY, Given, noisy, simulated, suite
 
 from synthcam_shared.errors import InputError
 from tracker.benchmark.contest import read_submission_form, score_submission
 from tracker.benchmark.report.leaderboard import write_entry
+from tracker.benchmark.suite.definition import parse_definition
 from tracker.cli import main
 
 
@@ -112,6 +114,28 @@ def test_a_withheld_truth_is_scored_where_it_lies(tmp_path, monkeypatch, capsys)
     true = pd.read_parquet(truth / "axes" / "clips" / "000000" / "truth" / "tracks.parquet")["x_mean_px"]
     told = "".join(path.read_text() for path in (tmp_path / "r").rglob("*.*") if path.is_file())
     assert not [value for value in true if f"{value:.6f}" in told]
+
+
+@pytest.mark.usefixtures("unfitted", "not_local")
+def test_a_submission_without_the_films_of_crowds_has_no_figures_of_them(tmp_path):
+    """A suite whose film `more` counts as crowds; a table of it is then scored apart from the other films."""
+    copy = tmp_path / "suite"
+    shutil.copytree(suite().path, copy)
+    for part in ("films", "truth"):
+        shutil.copytree(copy / part / "axes", copy / part / "more")
+    more = TINY.replace("axes:\n  brightness", "  more: {clips: 1, scenes: {many: {}}}\naxes:\n  brightness")
+    definition = parse_definition(more + "crowds: {axes: {}, parts: {many: many}}\n", "full", "tiny.yaml")
+    crowded = replace(suite(), path=copy, truth=copy / "truth", definition=definition)
+    folder = tables(tmp_path / "s", clips=(0,))
+    (alone,), notes = score_submission(crowded, folder, tmp_path / "r", "")
+    assert notes[1] == "more: no table, so the entry has no figures of these crowds"
+    assert alone["crowds"] == {}
+    shutil.copy(folder / "axes.csv", folder / "more.csv")
+    (whole,), notes = score_submission(crowded, folder, tmp_path / "r", "")
+    assert len(notes) == 1
+    assert whole["crowds"]["many"]["hota"] == pytest.approx(1.0, abs=0.02)
+    assert whole["score"] == alone["score"]
+    assert list(whole["parts"]) == list(alone["parts"]) == ["bright", "dim"]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from tracker.benchmark.judging.crowds import judge_crowd
 from tracker.benchmark.judging.defects import measure_shifts_by_defects, simulate_at_bound
 from tracker.benchmark.judging.position_errors import compute_gap_curve, compute_phase_curve, match_positions
 from tracker.benchmark.judging.tracker_results import TrackerResults
@@ -22,11 +23,12 @@ def make_entry(
 ) -> dict[str, Any]:
     """Score a tracker on a suite with its truth; about: name of the tracker, and further facts about it.
 
-    Returns tracker, suite, score, parts {part: figures}, phase {part: curve}, gap (curve), quantities {part: ...} and
-    defects. They are plain values, None if not known.
+    Returns tracker, suite, score, parts {part: figures}, phase {part: curve}, gap (curve), quantities {part: ...},
+    defects, and crowds {part: figures} if the suite has crowds. They are plain values, None if not known.
     """
     chosen = suite.definition
-    run = {name: part for name, part in suite.parts.items() if tracked.sample.of(part)}
+    every = {name: part for name, part in suite.parts.items() if tracked.sample.of(part)}
+    run = {name: part for name, part in every.items() if name not in chosen.crowds}
     held = {name: match_positions(suite, tracked, part) for name, part in run.items()}
     parts = {name: one.statistics for name, one in held.items()}
     defects: dict[str, Any] = {}
@@ -49,6 +51,8 @@ def make_entry(
         "quantities": {n: judge_quantities(suite, tracked, run[n]) for n in chosen.parts_of("measured") if n in run},
         "defects": defects,
     }
+    if chosen.crowds:
+        out["crowds"] = {name: judge_crowd(suite, tracked, every[name]) for name in chosen.crowds if name in every}
     whole: dict[str, Any] = replace_non_finite(out)
     return whole
 

@@ -34,10 +34,10 @@ class PositionMatches:
 def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> PositionMatches:
     """Pair the positions of a tracker with the truth of a part.
 
-    Columns of `pairs`: clip, frame, particle; off_x, off_y (px, found - true); std_x, std_y (claimed); own_x, own_y
-    (px, off of what the tracker itself found, before glints are taken to centres); lever_x, lever_y (px, from centre to
-    glint); phase_x, phase_y (of the glint within the pixel, -.5 to .5); moving_x, moving_y; gap (diameters); along (px,
-    towards the other ball); bound (px).
+    Columns of `pairs`: clip, frame, particle; track (of the tracker); off_x, off_y (px, found - true); std_x, std_y
+    (claimed); own_x, own_y (px, off of what the tracker itself found, before glints are taken to centres); lever_x,
+    lever_y (px, from centre to glint); phase_x, phase_y (of the glint within the pixel, -.5 to .5); moving_x, moving_y;
+    gap (diameters) and along (px, towards the other ball) in films of two balls; bound (px).
     """
     clips, dots, rows, lost = [], [], [], {}
     for clip in tracked.sample.of(part):
@@ -77,6 +77,7 @@ def compute_efficiency(figures: Mapping[str, float]) -> float:
 def _pairs(near: MatchedDetections, cov: Array, ball_px: float, point: str) -> pd.DataFrame:
     true, found = near.truth.iloc[near.pairs[:, 0]], near.found.iloc[near.pairs[:, 1]]
     out = true[["frame", "particle"]].reset_index(drop=True)
+    out["track"] = found["particle"].to_numpy()
     centre = true[["x_mean_px", "y_mean_px"]].to_numpy(np.float64)
     lever = true[["glint_x_px", "glint_y_px"]].to_numpy(np.float64) - true[["x_px", "y_px"]].to_numpy(np.float64)
     own = near.off

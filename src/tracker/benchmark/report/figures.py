@@ -183,6 +183,39 @@ def _label_axes(panel: Axes, title: str, x: str, y: str) -> None:
     panel.tick_params(labelsize=7)
 
 
+def draw_crowds(entries: Entries, definition: SuiteDefinition) -> Figure:
+    """Draw identities, errors, contacts and temperature in crowds against each axis of the suite's crowds."""
+    axes = list(definition.crowd_axes())
+    measures = {
+        "hota": "HOTA",
+        "ratio": "rmse / bound",
+        "contacts_found": "contacts found",
+        "temperature_error": "error of temperature",
+    }
+    width = FIGURE_WIDTH_IN * max(len(axes), 1) / 2
+    figure, grid = make_axes(
+        len(measures), max(len(axes), 1), figsize=(width, 2.1 * len(measures) + 0.5), sharex="col", squeeze=False
+    )
+    for column, (axis, points) in zip(grid.T, axes, strict=False):
+        x = [value for value, _ in points]
+        for panel, (key, word) in zip(column, measures.items(), strict=True):
+            for k, entry in enumerate(entries):
+                found = [entry.get("crowds", {}).get(part, {}).get(key) for _, part in points]
+                y = np.array([np.nan if value is None else value for value in found], float)
+                panel.plot(x, y, label=label_tracker(entry), **_style(k))
+            if key in ("ratio", "temperature_error"):
+                panel.set_yscale("log")
+            else:
+                panel.set_ylim(-0.03, 1.05)
+            if key == "ratio":
+                panel.axhline(1.0, **LIMIT_LINE)
+            _label_axes(panel, axis["title"] if key == "hota" else "", "", word)
+        column[-1].set_xlabel(axis["label"], fontsize=8)
+    named = grid[0, 0].get_legend_handles_labels()
+    figure.legend(*named, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    return figure
+
+
 def draw_published_quantities(entries: Entries, part: str, names: Sequence[str]) -> Figure:
     """Draw a table with a row for each tracker and a column for each quantity: error ± published error bar."""
 

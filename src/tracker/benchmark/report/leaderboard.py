@@ -11,9 +11,12 @@ import pandas as pd
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import write_atomically
+from tracker.benchmark.judging.crowds import average_crowds
+from tracker.benchmark.suite.definition import DIGEST_WITHOUT_CROWDS
 from tracker.results import load_json, write_json
 
 ENTRIES = "entries"
+CROWD_COLUMNS = ("hota", "contacts_found", "temperature_error")  # means over all crowds
 Entry = Mapping[str, Any]
 Entries = Sequence[Entry]
 
@@ -37,13 +40,17 @@ def write_entry(report: Path, entry: Entry) -> None:
 
 
 def read_entries(report: Path, suite: Mapping[str, Any]) -> list[Entry]:
-    """Read all entries of a report, the best first. Raises InputError for an entry of another suite."""
+    """Read all entries of a report, the best first.
+
+    An entry of a suite without crowds stays if its films are those of this suite. Raises InputError for an entry of
+    another suite.
+    """
     found = []
     for path in sorted((report / ENTRIES).glob("*.json")):
         one = load_json(path)
         if not isinstance(one, dict) or not {"tracker", "suite", "parts", "score"} <= set(one):
             raise InputError(f"{path}: damaged, expected an entry of `tracker benchmark`")
-        if one["suite"]["truth_sha256"] != suite["truth_sha256"]:
+        if one["suite"]["truth_sha256"] not in (suite["truth_sha256"], suite.get(DIGEST_WITHOUT_CROWDS)):
             other = one["suite"]["version"]
             raise InputError(f"{path}: scores another suite (version {other}); expected a report of its own")
         found.append(one)
@@ -57,6 +64,7 @@ def make_leaderboard_row(rank: int, one: Entry) -> dict[str, Any]:
     whole = sum(part["n"] + part["missed"] for part in parts)
     measured: Mapping[str, Any] = next(iter(one["quantities"].values()), {"r": {}}).get("r") or {}
     withheld = one["suite"]["split"] == "withheld"
+    crowds = average_crowds(one.get("crowds", {}), CROWD_COLUMNS)
     return {
         "rank": rank,
         "name": one["tracker"]["name"],
@@ -65,6 +73,7 @@ def make_leaderboard_row(rank: int, one: Entry) -> dict[str, Any]:
         "found": sum(part["n"] for part in parts) / whole if whole else None,
         "false_per_ball": sum(part["false"] for part in parts) / whole if whole else None,
         "hota": float(np.mean([part["hota"] or 0.0 for part in parts])),
+        **{f"crowd_{name}": value for name, value in crowds.items()},
         "ms_per_frame": one["tracker"].get("ms_per_frame"),
         "r_tied_rmse": measured.get("rmse"),
         "r_tied_z_std": measured.get("z_std"),

@@ -35,6 +35,10 @@ MEANINGS = {
     "tracks.",
     "MOTA, IDF1, HOTA": "Bernardin & Stiefelhagen 2008; Ristani et al. 2016; Luiten et al. 2021, with the similarity "
     "1 - distance / 5 px.",
+    "crowds": "many balls that collide with one another and with walls. Contacts and temperature follow from the "
+    "tracks of each tracker by the same methods. A contact counts if it changes the velocity of a ball by 0.1 px a "
+    "frame. It is found if the tracks of its balls show it within 2 frames. The temperature is the variance of a "
+    "component of the velocities; its error is the rms over all frames of the relative error.",
     "published": "mean error of a quantity over all collisions, weighted by the claimed error bars, ± the error bar of "
     "that mean: the error of a published value.",
     "defects": "each defect is put alone into true tracks that have the noise of the bound, and these are measured. "
@@ -63,6 +67,7 @@ def write_report(
         PageSection("Error against one property of the film", [_axes(entries, definition)]),
         PageSection("Errors of published values", _publication_figures(entries, definition)),
         PageSection("Effect of each defect on the physics", _defects(entries)),
+        *([PageSection("Crowds", _crowds(entries, definition))] if definition.crowds else []),
         PageSection("Leaderboard", [_leaderboard(entries)]),
         PageSection("All measures", make_benchmark_tables(entries, definition)),
         PageSection("Meaning of the measures", [_meanings()]),
@@ -130,11 +135,41 @@ def _defects(entries: Entries) -> list[Block]:
     return blocks
 
 
+def _crowds(entries: Entries, definition: SuiteDefinition) -> list[Block]:
+    caption = (
+        "Left: slow balls that fill more and more of their tray. Right: few balls that move farther and farther from "
+        "frame to frame, in units of the distance between neighbours. A tracker without a point was not run on these "
+        "films, or its tracks give no value."
+    )
+    figure = PageFigure.of(figures.draw_crowds(entries, definition), "Crowds by density and speed", caption)
+    return [figure, *make_crowd_tables(entries, definition)]
+
+
+def make_crowd_tables(entries: Entries, definition: SuiteDefinition) -> list[PageTable]:
+    """Make the tables of all crowds; an entry without crowds has dashes."""
+    words = definition.data["crowds"]["parts"]
+    tables = []
+    for title, key, digits in (
+        ("HOTA", "hota", 4), ("IDF1", "idf1", 4), ("MOTA", "mota", 4), ("exchanged identities", "swaps", 4),
+        ("rmse / bound", "ratio", 3), ("rmse in x and y, px", "rmse_px", 3),
+        ("contacts found, share", "contacts_found", 3), ("contacts that are none, share", "contacts_false", 2),
+        ("temperature, rms of its relative error", "temperature_error", 2),
+    ):  # fmt: skip
+        rows = []
+        for entry in entries:
+            found = entry.get("crowds", {})
+            values = (found.get(part, {}).get(key) for part in definition.crowds)
+            rows.append([figures.name_tracker(entry), *(format_number(value, digits) for value in values)])
+        tables.append(PageTable(["tracker", *(words[part] for part in definition.crowds)], rows, title))
+    return tables
+
+
 def _leaderboard(entries: Entries) -> PageTable:
     columns = {
         "rank": "rank", "name": "tracker", "score": "score", "ratio_median": "median rmse / bound", "found": "found",
-        "false_per_ball": "false per ball", "hota": "HOTA", "ms_per_frame": "ms per frame", "made": "run by",
-        "truth": "truth",
+        "false_per_ball": "false per ball", "hota": "HOTA", "crowd_hota": "HOTA in crowds",
+        "crowd_contacts_found": "contacts found in crowds", "crowd_temperature_error": "error of temperature in crowds",
+        "ms_per_frame": "ms per frame", "made": "run by", "truth": "truth",
     }  # fmt: skip
     lines = [make_leaderboard_row(rank, entry) for rank, entry in enumerate(entries, 1)]
     return PageTable(list(columns.values()), [[format_number(line[key]) for key in columns] for line in lines])
@@ -193,6 +228,7 @@ def describe_performance(
 def make_benchmark_tables(entries: Entries, definition: SuiteDefinition) -> list[PageTable]:
     """Make the tables of the benchmark's page: positions and tracks of each part, quantities, and defects."""
     tables = []
+    pairs = [part for part in definition.parts if part not in definition.crowds]
     for title, key, digits in (
         ("rmse / bound", "ratio", 3),
         ("rmse in x and y, px", "rmse_px", 3),
@@ -205,9 +241,9 @@ def make_benchmark_tables(entries: Entries, definition: SuiteDefinition) -> list
     ):  # fmt: skip
         rows = []
         for entry in entries:
-            values = (entry["parts"].get(part, {}).get(key) for part in definition.parts)
+            values = (entry["parts"].get(part, {}).get(key) for part in pairs)
             rows.append([figures.name_tracker(entry), *(format_number(value, digits) for value in values)])
-        tables.append(PageTable(["tracker", *definition.parts], rows, title))
+        tables.append(PageTable(["tracker", *pairs], rows, title))
     for part in definition.parts_of("measured"):
         for suffix, method in (("", "tied fit"), ("_free", "free fit")):
             title = f"{part}, {method}: rmse (rmse / bound; z sd; collisions)"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,8 +19,10 @@ from tracker.camera.camera import Camera
 from tracker.results import load_json
 
 SUITE, DEFINITION, TRUTH, FILMS = "suite.json", "suite.yaml", "truth", "films"
+DIGEST_WITHOUT_CROWDS = "truth_sha256_without_crowds"  # in suite.json
 BOUNDS, QUANTITY_BOUNDS = "bounds.parquet", "quantity_bounds.parquet"
 KEYS = "name version seed licence films axes headline near phase measured physics trackers sampled".split()
+CROWDS = "crowds"  # a key that definitions before version 1.1 do not have
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,19 @@ class SuiteDefinition:
         """Parts of the first figure, with their labels."""
         return {part: str(word) for part, word in self.data["headline"].items() if part in self.parts}
 
+    @property
+    def crowds(self) -> list[str]:
+        """Parts with more than two balls, which are judged apart from the others."""
+        named = self.data.get(CROWDS, {}).get("parts", {})
+        return [part for part in named if part in self.parts]
+
+    def crowd_axes(self) -> Iterator[tuple[Mapping[str, Any], list[tuple[float, str]]]]:
+        """Yield settings and points (value, part) of each axis of crowds that has a part in this size."""
+        known = self.crowds
+        for axis in self.data.get(CROWDS, {}).get("axes", {}).values():
+            if points := [(float(value), part) for value, part in axis["points"] if part in known]:
+                yield axis, points
+
     def parts_of(self, key: str) -> list[str]:
         """Return the parts that a key names and that this size has."""
         named = self.data[key]
@@ -110,7 +125,9 @@ def parse_definition(text: str, size: str, where: str) -> SuiteDefinition:
         data = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise InputError(f"{where}: damaged, expected YAML ({' '.join(str(error).split())[:120]})") from None
-    _check(data, KEYS, where, "a suite")
+    _check(data, KEYS, where, "a suite", extra=[*KEYS, CROWDS])
+    crowds = data.get(CROWDS, {"axes": {}, "parts": {}})
+    _check(crowds, ["axes", "parts"], f"{where}: {CROWDS}", "crowds")
     films = tuple(film for name, given in data["films"].items() if (film := _film(name, given, size, where)).clips)
     names = [scene for film in films for scene in (*film.scenes, *film.encoded)]
     if len(set(names)) < len(names):
@@ -119,6 +136,7 @@ def parse_definition(text: str, size: str, where: str) -> SuiteDefinition:
     known = {scene for given in data["films"].values() for scene in (*given["scenes"], *given.get("encoded", {}))}
     named = [part for axis in data["axes"].values() for _, part in axis["points"]]
     named += [*data["headline"], *data["phase"], *data["measured"], data["near"], data["physics"]]
+    named += [*crowds["parts"], *(part for axis in crowds["axes"].values() for _, part in axis["points"])]
     if unknown := sorted(set(named) - known):
         raise InputError(f"{where}: {', '.join(unknown)}: no such scene, expected one of {', '.join(sorted(known))}")
     return made
@@ -187,6 +205,10 @@ class Suite:
         own = limits[limits["clip"] == clip].drop(columns="clip")
         return truth.merge(own, on=["frame", "particle"], how="left")
 
+    def events(self, film: str, clip: int) -> pd.DataFrame:
+        """Read the true events of a clip."""
+        return _read(self.truth / film / "clips" / f"{clip:06d}" / "truth" / "events.parquet")
+
     @cached_property
     def bounds(self) -> dict[str, pd.DataFrame]:
         """The Cramér-Rao bounds of all true positions, by film."""
@@ -226,10 +248,13 @@ def check_truth(suite: Suite) -> Suite:
     return suite
 
 
-def truth_digest(truth: Path, definition: SuiteDefinition) -> str:
-    """Compute the digest of the true files in the folder of a suite, without bounds, which follow from them."""
+def truth_digest(truth: Path, definition: SuiteDefinition, without: Collection[str] = ()) -> str:
+    """Compute the digest of the true files in the folder of a suite, without bounds, which follow from them.
+
+    without: films that are left out.
+    """
     mark = hashlib.sha256()
-    for film in sorted(one.name for one in definition.films):
+    for film in sorted({one.name for one in definition.films} - set(without)):
         for path in sorted(p for p in (truth / film).rglob("*") if p.is_file()):
             if path.name not in (BOUNDS, QUANTITY_BOUNDS):
                 mark.update(f"{path.relative_to(truth).as_posix()}\n".encode())

@@ -23,6 +23,7 @@ from synthcam_shared.outputs import open_resumable, write_atomically
 from tracker.benchmark.suite.definition import (
     BOUNDS,
     DEFINITION,
+    DIGEST_WITHOUT_CROWDS,
     FILMS,
     QUANTITY_BOUNDS,
     SUITE,
@@ -92,11 +93,18 @@ def make_suite(
             "licence": definition.data["licence"],
             "definition_sha256": definition.digest,
             "truth_sha256": truth_digest(truth, definition),
+            **_digest_without_crowds(truth, definition),
             "parts": {name: {"film": part.film, "clips": list(part.clips)} for name, part in definition.parts.items()},
         }
         write_atomically(output / "README.md", make_card_text(about, definition))
         write_json(output / SUITE, about)
     return open_suite(output, truth)
+
+
+def _digest_without_crowds(truth: Path, definition: SuiteDefinition) -> dict[str, str]:
+    """The digest of the films of two balls, which suites without crowds may have too; nothing in such a suite."""
+    films = {definition.parts[name].truth for name in definition.crowds}
+    return {DIGEST_WITHOUT_CROWDS: truth_digest(truth, definition, films)} if films else {}
 
 
 def _reopen(output: Path, truth: Path, definition: SuiteDefinition, seed: int | None) -> Suite:
@@ -240,6 +248,8 @@ def _of_clip(source: RecordingSource, truth: Path, index: int) -> tuple[pd.DataF
         values = np.full(len(table), np.nan)
         values[perfect.pairs[:, 0]] = cov[:, i, j]
         table[name] = values
+    if true["particle"].nunique() > 2:
+        return table, quantities  # a bound of a quantity is that of a film of one collision
     scalars = pd.read_parquet(truth / "truth" / "clips.parquet")
     tied = compute_true_parameters(true, scalars[scalars["clip"] == clip.number].iloc[0])
     return table, quantities | quantity_bounds(perfect, cov, tied, clip.camera)

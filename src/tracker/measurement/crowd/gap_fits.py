@@ -391,5 +391,7 @@ def _find_least(times: Array, cost: Array) -> tuple[Array, Array]:
     step = times[:, 1] - times[:, 0]
     low, middle, high = (cost[rows, inner + k] for k in (-1, 0, 1))
     bend = np.maximum((high - 2 * middle + low) / step**2, 1e-300)
-    finer = np.clip(times[rows, inner] - (high - low) / (2 * step) / bend, times[:, 0], times[:, -1])
+    with np.errstate(over="ignore"):  # costs on a straight line: the parabola has no least
+        ahead = (high - low) / (2 * step) / bend
+    finer = np.clip(times[rows, inner] - ahead, times[:, 0], times[:, -1])
     return np.where(best == inner, finer, times[rows, best]), bend

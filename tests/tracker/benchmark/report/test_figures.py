@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
 from benchmark_suite import tiny
 
 from tracker.benchmark.report.figures import (
     DEFECTS,
+    draw_crowds,
     draw_defects,
     draw_errors_by_setting,
     draw_headline,
@@ -64,3 +66,17 @@ def test_a_quantity_that_a_defect_takes_away_is_not_shown_as_unmoved():
     one["defects"] = one["defects"] | {"locking": {"r_free": {"in_errors": None}}}
     assert texts(draw_defects([one], ["r"], "_free")).count("no result") == 1
     assert texts(draw_defects([one], ["r"], "")).count("no result") == 1
+
+
+def test_crowds_are_drawn_by_axis_and_an_entry_without_them_has_no_point():
+    axes = {name: {"title": name, "label": name, "points": [[0.1, "bright"], [0.5, "dim"]]} for name in ("one", "two")}
+    crowds = {"axes": axes, "parts": {"bright": "b", "dim": "d"}}
+    given = replace(tiny(), data={**tiny().data, "crowds": crowds})
+    scores = {"hota": 0.9, "ratio": 1.2, "contacts_found": 0.7, "temperature_error": None}
+    figure = draw_crowds([entry("old"), {**entry("new"), "crowds": {"dim": scores}}], given)
+    figure.draw_without_rendering()
+    assert len(figure.axes) == 8
+    old, new = figure.axes[0].get_lines()
+    assert np.isnan(old.get_ydata()).all()
+    assert np.array_equal(new.get_ydata(), [np.nan, 0.9], equal_nan=True)
+    assert new.get_xdata().tolist() == [0.1, 0.5]

@@ -5,11 +5,17 @@ import shutil
 
 import numpy as np
 import pytest
-from benchmark_suite import suite, tiny
+from benchmark_suite import TINY, suite, tiny
 
 from synthcam_shared.errors import InputError
 from tracker.benchmark.suite import make as module
-from tracker.benchmark.suite.definition import check_truth, open_suite, truth_digest
+from tracker.benchmark.suite.definition import (
+    DIGEST_WITHOUT_CROWDS,
+    check_truth,
+    open_suite,
+    parse_definition,
+    truth_digest,
+)
 from tracker.benchmark.suite.make import make_suite
 
 
@@ -72,6 +78,18 @@ def test_a_withheld_truth_lies_apart_with_a_seed_that_is_drawn(tmp_path, monkeyp
         check_truth(open_suite(tmp_path / "suite", tmp_path / "truth"))
 
 
+def test_the_truth_of_two_balls_keeps_its_digest_beside_crowds(tmp_path):
+    more = TINY.replace("axes:\n    clips", "crowd: {clips: 1, scenes: {many: {}}}\n  axes:\n    clips")
+    crowded = parse_definition(more + "crowds: {axes: {}, parts: {many: many}}\n", "full", "tiny.yaml")
+    for film, text in (("axes", "two balls"), ("crowd", "many balls")):
+        (tmp_path / film).mkdir()
+        (tmp_path / film / "truth.txt").write_text(text)
+    before = truth_digest(tmp_path, tiny())
+    assert truth_digest(tmp_path, crowded) != before
+    assert module._digest_without_crowds(tmp_path, crowded) == {DIGEST_WITHOUT_CROWDS: before}
+    assert module._digest_without_crowds(tmp_path, tiny()) == {}
+
+
 def test_a_truth_within_the_films_is_refused(tmp_path):
     for truth in (tmp_path / "suite" / "truth", tmp_path):
         with pytest.raises(InputError, match="expected a separate folder for the truth"):
@@ -79,10 +97,6 @@ def test_a_truth_within_the_films_is_refused(tmp_path):
 
 
 def test_what_synthcam_refuses_is_said(tmp_path):
-    from benchmark_suite import TINY
-
-    from tracker.benchmark.suite.definition import parse_definition
-
     wrong = parse_definition(TINY.replace("v0: 0.25", "v1: 0.25"), "full", "tiny.yaml")
     with pytest.raises(InputError, match=r"synthcam generate ended with status 2: .*launch\.v1"):
         make_suite(tmp_path / "suite", wrong, workers=1)
