@@ -188,10 +188,12 @@ def measure_acceleration(glints: Glints, position_error: float) -> float:
     change is that of steps which nobody can mistake: both are to the nearest detection, and the next one is much
     farther. The part that errors of positions explain is subtracted.
     """
-    most_frames, least_steps, least_bodies = 40, 30, 3
+    least_frames, most_frames, enough_positions = 8, 40, 4000  # many bodies in few frames show as much
+    least_steps, least_bodies = 30, 3
     clear_share = 0.3  # of the distance to the second nearest detection, which such a step has at most
     seen, xy, turns = np.unique(glints.frame), glints.xy, [np.empty((0, 2))]
-    for frame in pick_spread(seen[:-2].tolist(), most_frames) if len(seen) > 2 else []:
+    wanted = min(max(least_frames, enough_positions * len(seen) // max(len(glints), 1)), most_frames)
+    for frame in pick_spread(seen[:-2].tolist(), wanted) if len(seen) > 2 else []:
         here, there, then = (xy[glints.frame == frame + later] for later in range(3))
         if min(len(here), len(there), len(then)) >= least_bodies:
             first, second = _find_clear_steps(here, there, clear_share), _find_clear_steps(there, then, clear_share)

@@ -12,6 +12,7 @@ from tracker.camera.recordings import Recording
 from tracker.detection import assignment
 from tracker.detection.detect import load_linker
 from tracker.detection.glints import Glints, PositionFlag
+from tracker.detection import link
 from tracker.detection.link import assign_track_numbers, estimate_velocities, link_into_tracks, measure_acceleration
 from tracker.recording import track_clip
 
@@ -213,6 +214,18 @@ def test_the_push_of_driven_bodies_is_measured():
     assert measure_acceleration(found, 0.02) == pytest.approx(float(np.std(np.diff(paths, 2, axis=0))), rel=0.15)
     still, _ = scattered(rng, driven(rng, push=0.0, speed=0.0), noise=0.02)
     assert measure_acceleration(still, 0.02) < 0.02
+
+
+def test_the_push_of_many_bodies_is_measured_in_few_frames(monkeypatch):
+    """A thousand bodies on a lattice that are pushed alike: the frames looked at have as many steps as 40 of a hundred."""
+    rng, side, push, looked = np.random.default_rng(5), np.arange(32) * 30.0, 0.4, []
+    lattice = np.stack(np.meshgrid(side, side), axis=-1).reshape(1, -1, 2)
+    paths = lattice + np.cumsum(np.cumsum(push * rng.standard_normal((40, 1024, 2)), axis=0), axis=0) / 10
+    found, _ = scattered(rng, paths, noise=0.02)
+    steps = link._find_clear_steps
+    monkeypatch.setattr(link, "_find_clear_steps", lambda *words: looked.append(words) or steps(*words))
+    assert measure_acceleration(found, 0.02) == pytest.approx(push / 10, rel=0.15)
+    assert 10 < len(looked) <= 20  # two of each frame; 76 if all were looked at
 
 
 def test_blips_and_faint_companions_are_refused():
