@@ -9,10 +9,9 @@ from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.camera.recordings import Recording
-from tracker.detection import assignment
+from tracker.detection import assignment, link
 from tracker.detection.detect import load_linker
 from tracker.detection.glints import Glints, PositionFlag
-from tracker.detection import link
 from tracker.detection.link import assign_track_numbers, estimate_velocities, link_into_tracks, measure_acceleration
 from tracker.recording import track_clip
 
@@ -217,7 +216,7 @@ def test_the_push_of_driven_bodies_is_measured():
 
 
 def test_the_push_of_many_bodies_is_measured_in_few_frames(monkeypatch):
-    """A thousand bodies on a lattice that are pushed alike: the frames looked at have as many steps as 40 of a hundred."""
+    """A thousand bodies on a lattice that are pushed alike: few frames have as many steps as 40 of a hundred."""
     rng, side, push, looked = np.random.default_rng(5), np.arange(32) * 30.0, 0.4, []
     lattice = np.stack(np.meshgrid(side, side), axis=-1).reshape(1, -1, 2)
     paths = lattice + np.cumsum(np.cumsum(push * rng.standard_normal((40, 1024, 2)), axis=0), axis=0) / 10

@@ -93,7 +93,7 @@ def test_without_three_tracks_there_is_no_temperature_and_no_contact():
 
 
 def test_contacts_are_counted_by_hand():
-    """Of six true contacts one is at an end and one weak; found are two, the weak one, and three that are none."""
+    """Six true contacts, one at an end and one weak; tracks show two of the four others, and three that are none."""
     true = pd.DataFrame(
         [
             (1.0, 0, 1, 5.0),
