@@ -27,6 +27,7 @@ LEAST_WEIGHT = 0.01  # of those, over the weight of the best
 MAX_COST = 16.0  # beyond that of the best duration of a slide
 MAX_RESIDUAL_CLAIMED = 2.0  # rms of the residuals of a window, over claimed errors
 MAX_RESIDUAL_SCATTER = 3.0  # over errors by the scatter from frame to frame
+MAX_EVIDENCE_LOST = 7.0  # logarithm of evidence under the best, with which motions still count
 ROUGH_GAIN = 0.01  # of the cost, with which a descent ends whose solution is solved again
 
 
@@ -256,8 +257,23 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool) -> FitInStep
     )
     found_squares, least = dict(zip(moving, own, strict=True)), 1.0 if known else 1e-12
     sizes = [size * float(np.sqrt(max(found_squares.get(k, usual), least))) for k, size in enumerate(solution.sizes)]
-    again = yield [Descent([one.problem], one.x[None], sizes, least_gain=ROUGH_GAIN) for one in found]
-    return sorted((one for [one] in again), key=lambda s: -s.log_evidence)
+    likely = [one for one in found if one is solution or not _stays_unlikely(one, solution, sizes)]
+    again = yield [Descent([one.problem], one.x[None], sizes, least_gain=ROUGH_GAIN) for one in likely]
+    unlikely = [one for one in found if not any(one is other for other in likely)]
+    return sorted((*(one for [one] in again), *unlikely), key=lambda s: -s.log_evidence)
+
+
+def _stays_unlikely(one: LocalSolution, best: LocalSolution, sizes: Sequence[float]) -> bool:
+    """Decide whether a solution has no weight beside another whatever its descent with errors of these sizes finds.
+
+    Larger errors lower a cost by at most the square of their growth. They widen the errors of each parameter by at most
+    their growth.
+    """
+    shrinks = [(old / new) ** 2 for old, new in zip(one.sizes, sizes, strict=True)]
+    least, most = 0.9 * min(1.0, *shrinks) * one.cost, max(1.0, *shrinks) * best.cost  # descents are rough
+    volumes = [each.log_volume - each.problem.log_width for each in (one, best)]
+    widens = one.problem.size * float(np.log(max(1.0, *shrinks) / min(1.0, *shrinks))) / 2
+    return volumes[0] - volumes[1] + widens - (least - most) / 2 < -MAX_EVIDENCE_LOST
 
 
 def shows_end(solution: LocalSolution, k: int) -> bool:
@@ -290,7 +306,7 @@ def mix_solutions(
     best = max(one.log_evidence for one in found)
     mixture = list[tuple[float, LocalSolution]]()
     for one in found:
-        if one.log_evidence < best - 7:  # its slides may fit better with another duration
+        if one.log_evidence < best - MAX_EVIDENCE_LOST:  # its slides may fit better with another duration
             continue
         usual = one.problem.priors.shift_share
         priors = [replace(one.problem.priors, shift_share=share * usual) for share in shifts]

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from tracker.measurement.local import local_fit
-from tracker.measurement.local.descents import run_alone
+from tracker.measurement.local.descents import run_alone, solve_descents
 from tracker.measurement.local.local_fit import (
+    MAX_EVIDENCE_LOST,
     MAX_RESIDUAL_CLAIMED,
     MAX_RESIDUAL_SCATTER,
     SlideDuration,
@@ -108,6 +109,32 @@ def test_residuals_are_weighed_from_the_contact_on(monkeypatch):
     parts = found[0].residual.reshape(4, 30, 2)
     np.testing.assert_array_equal(seen["residuals"], [parts[1][::-1], parts[2], parts[3]])
     assert seen["columns"] == [3, 3, 3]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_only_motions_that_no_error_makes_likely_are_not_solved_again(known):
+    """Bodies that slide are no bodies on air; the errors of two stretches are larger than claimed."""
+    before, time, diameter = np.arange(-40, 0) * 4e-3, np.arange(1, 51) * 4e-3, 0.05
+    stretches = (
+        make_stretch(np.zeros((40, 2)), before, 1, after=False),
+        make_stretch(np.outer(before, [1.0, 0.0]) - [diameter, 0], before, 2, ball=2, after=False, size=3.0),
+        make_stretch(slide_path(time, 0.9, 1.6, 0.1), time, 3, size=1.5),
+        make_stretch(slide_path(time, 0.1, -1.6, 0.1) - [diameter, 0], time, 4, ball=2),
+    )
+    found = run_alone(fit_motions(stretches, 0.0, True, (False, True), LocalPriors(diameter)))
+    steps = weigh_by_residuals(found, known)
+    asked = next(steps)
+    solved = solve_descents(asked)
+    left = [one for one in found if not any(one.problem is descent.problems[0] for descent in asked)]
+    assert any(one.problem.glide for one in left)
+    best = max(one.log_evidence for [one] in solved)
+    for one in left:
+        [[again]] = solve_descents([replace(asked[0], problems=[one.problem], x=one.x[None])])
+        assert again.log_evidence < best - MAX_EVIDENCE_LOST
+    with pytest.raises(StopIteration) as end:
+        steps.send(solved)
+    assert len(end.value.value) == len(found)
+    assert end.value.value[0].log_evidence == best
 
 
 @pytest.mark.parametrize(("slide_s", "seen"), [(0.5, False), (0.199, False), (0.1, True)])
