@@ -2,7 +2,7 @@
 
 python -m benchmarks.tracker.local_estimates [--hits 200] [--seed 1] [-o out/local_estimates.json]
 
-Hits are those of three kinds:
+Hits are those of four kinds:
 
 - balls: billiard balls of 61.5 mm at 50 frames a second, noise 0.3 mm. The striker slides and then rolls, or slides
   up to the hit, by the textbook in three dimensions. r, the friction between balls, that of the cloth and the loss
@@ -11,8 +11,9 @@ Hits are those of three kinds:
 - discs: pucks of 50 mm on air at 250 frames a second, noise 0.03 mm. Each run has a drag of its own, the rims rub, and
   the masses are unequal and given.
 - pucks: discs of 30 mm that slide on a dry plate until they stop. They have 240 frames a second, as in a film of 320 x
-  240 with loss. Errors of 0.1 px last over some frames, but not of pucks at rest. With --claimed the tables have a
-  fifth of that, as of a film whose codec repeats what hardly changes.
+  240 with loss. Errors of 0.1 px last over some frames, and those of pucks at rest hardly change. With --claimed the
+  tables have a fifth of that, as of a film whose codec repeats what hardly changes.
+- dry pucks: the same, and the camera file says that they slide.
 
 With --warp W the positions are shifted by a smooth map of W m rms over 0.1 m, which no fit knows. With --claimed the
 tables have the true errors of positions; without it the errors come from the scatter.
@@ -125,8 +126,9 @@ def draw_pucks(rng: np.random.Generator) -> tuple[list[Floats], dict[str, float]
 
 
 def err_like_codec(path: Floats, noise: float, rng: np.random.Generator, lasting: float = 0.7) -> Floats:
-    """Errors (n, 2) that last over some frames, of a body that moves; one at rest has hardly any."""
-    errors, fresh = np.zeros(path.shape), rng.normal(0, noise * np.sqrt(1 - lasting**2), path.shape)
+    """Errors (n, 2) that last over some frames, of a body that moves; those of one at rest hardly change."""
+    fresh = rng.normal(0, noise * np.sqrt(1 - lasting**2), path.shape)
+    errors: Floats = fresh / np.sqrt(1 - lasting**2)  # the first lasts as long as the body rests
     moves = np.hypot(*np.diff(path, axis=0, prepend=path[:1]).T) > 1e-6
     for k in range(1, len(path)):
         errors[k] = lasting * errors[k - 1] + fresh[k] if moves[k] else errors[k - 1] + 0.1 * fresh[k]
@@ -144,6 +146,7 @@ KINDS: dict[str, tuple[Callable[..., tuple[list[Floats], dict[str, float], dict[
     "balls": (draw_balls, 3e-4, "cloth"),
     "discs": (draw_discs, 3e-5, "air"),
     "pucks": (draw_pucks, 1.75e-4, ""),
+    "dry pucks": (draw_pucks, 1.75e-4, "sliding"),
 }
 
 
@@ -159,10 +162,10 @@ def measure_one(kind: str, k: int, seed: int, warp: float, claimed: bool = False
     paths, truth, camera = draw(rng)
     parts, origin = [], rng.uniform(-0.5, 0.5, 2)
     for ball, path in enumerate(paths):
-        errors = err_like_codec(path, noise, rng) if kind == "pucks" else rng.normal(0, noise, path.shape)
+        errors = err_like_codec(path, noise, rng) if "pucks" in kind else rng.normal(0, noise, path.shape)
         x, y = (bend(path + origin, waves, warp) + errors).T
         part = pd.DataFrame({"frame": np.arange(len(path)), "particle": ball, "x": x, "y": y})
-        said = noise / 5 if kind == "pucks" else noise
+        said = noise / 5 if "pucks" in kind else noise
         parts.append(part.assign(x_std=said, y_std=said) if claimed else part)
     row = measure_hit(RecordedHit(f"{kind} {k}", pd.concat(parts, ignore_index=True), camera), support)
     return row | {f"{name}_true": value for name, value in truth.items()}

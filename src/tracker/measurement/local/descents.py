@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from synthcam_shared.arrays import Array, Ints
+from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.local_problem import LocalProblem, LocalSolution
 from tracker.measurement.local.stretches import Stretch, evaluate_path
 
@@ -249,7 +250,9 @@ class ProblemStack:
         self.short = np.array([5, *self.taus.tolist(), *rubs])
         self.known, self.by_known = (np.stack(part) for part in zip(*(p.known for p in problems), strict=True))
         self.square_of_known = np.swapaxes(self.by_known, 1, 2) @ self.by_known
-        self.turns, self.slips = self.one.turns, self.one.slips
+        self.turns, self.slips, self.dry = self.one.turns, self.one.slips, self.one.dry
+        self.dry_scatter = np.array([p.priors.dry_scatter for p in problems])  # (m, 2)
+        self.curved = 1 + len(self.turns) + 2 * len(self.slips) + 2 * len(self.dry)  # rows of what is not linear
         priors = [p.priors for p in problems]
         self.diameter = np.array([p.diameter for p in priors])
         self.distance_error = np.array([p.distance_share * p.diameter for p in priors])
@@ -276,7 +279,7 @@ class ProblemStack:
         x (m, n): parameters of these problems (m,).
         """
         known, by = self._weigh_known(x, which)
-        curved = by[:, : 1 + len(self.turns) + 2 * len(self.slips)]  # the other rows are always the same
+        curved = by[:, : self.curved]  # the other rows are always the same
         square = self.square_of_known[which] + np.swapaxes(curved, 1, 2) @ curved
         cost, pull = (known**2).sum(axis=1), (known[:, None] @ by)[:, 0]
         for k, (rows, columns) in enumerate(self.parts):
@@ -335,7 +338,25 @@ class ProblemStack:
         if self.slips:
             rows = slice(1 + len(self.turns), 1 + len(self.turns) + 2 * len(self.slips))
             self._add_slips(x, which, known[:, rows], by[:, rows])
+        for number, k in enumerate(self.dry, -len(self.dry)):
+            rows = slice(self.curved + 2 * number, self.curved + 2 * number + 2)
+            self._add_dry_friction(x, which, k, known[:, rows], by[:, rows])
         return known, by
+
+    def _add_dry_friction(self, x: Array, which: Ints, k: int, known: Array, by: Array) -> None:
+        """Add the residuals (m, 2) of dry friction, along the path and across it, and their derivatives (m, 2, n)."""
+        at, (scatter_along, scatter_across) = self.one.start[k], self.dry_scatter[which].T
+        v, pull = x[:, at + 2 : at + 4], x[:, at + 4 : at + 6] / (np.exp(x[:, 5:6]) * GRAVITY)
+        speed = np.maximum(np.hypot(v[:, 0], v[:, 1]), 1e-6)[:, None]
+        along = v / speed
+        across = np.column_stack([-along[:, 1], along[:, 0]])
+        axes = np.stack([along / scatter_along[:, None], across / scatter_across[:, None]], axis=1)
+        known[:] = (axes @ pull[..., None])[..., 0]
+        by[:, :, at + 4 : at + 6] = axes / (np.exp(x[:, 5]) * GRAVITY)[:, None, None]
+        by[:, :, 5] = -known
+        known[:, 0] += 1 / scatter_along
+        turned = np.stack([across / scatter_along[:, None], -along / scatter_across[:, None]], axis=1)
+        by[:, :, at + 2 : at + 4] = (turned @ pull[..., None]) * (across / speed)[:, None]
 
     def _add_slips(self, x: Array, which: Ints, known: Array, by: Array) -> None:
         """Add the residuals (m, 4) of slips that are known, and their derivatives (m, 4, n).

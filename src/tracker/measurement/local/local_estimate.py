@@ -29,7 +29,16 @@ from tracker.measurement.local.local_fit import (
     weigh_by_residuals,
 )
 from tracker.measurement.local.local_problem import KnownEnd, KnownSlips, LocalPriors, LocalSolution
-from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch, cut_stretch, find_rows
+from tracker.measurement.local.stretches import (
+    ROLL,
+    SLIDE,
+    SLIDE_AND_ROLL,
+    SLIDE_AND_STOP,
+    MotionKind,
+    Stretch,
+    cut_stretch,
+    find_rows,
+)
 from tracker.measurement.positions import measure_separation
 
 MIN_POSITIONS = 3  # of each stretch
@@ -92,12 +101,19 @@ def estimate_in_steps(
     glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
     lasts = contact.end > contact.start
     settings = contact.pair.settings
-    friction = {"friction": settings.local_friction, "friction_factor": settings.local_friction_factor}
-    loss = settings.local_rolling_loss_m_s2
-    known = LocalPriors(contact.pair.diameter, **friction, loss=loss, slips=slips, ends=ends)
+    known = LocalPriors(
+        contact.pair.diameter,
+        friction=settings.local_friction,
+        friction_factor=settings.local_friction_factor,
+        loss=settings.local_rolling_loss_m_s2,
+        slips=slips,
+        ends=ends,
+        dry=camera.support == "sliding",
+    )
     on_plate = False in glides
-    simple_after = (SLIDE, SLIDE_AND_ROLL) if on_plate else (SLIDE,)
-    simple_before = (ROLL, *simple_after) if on_plate else (SLIDE,)
+    alone = SLIDE_AND_STOP if known.dry else SLIDE
+    simple_after = (SLIDE, SLIDE_AND_ROLL) if on_plate else (alone,)
+    simple_before = (ROLL, *simple_after) if on_plate else (alone,)
     claimed = bool(np.isinf(contact.pair.striker.noise_dof))
     max_residual = MAX_RESIDUAL_CLAIMED if claimed else MAX_RESIDUAL_SCATTER
     instant = _guess_instant(contact, camera)
@@ -108,7 +124,7 @@ def estimate_in_steps(
         if min(map(len, whole)) < MIN_POSITIONS:
             return "too few positions near the contact"
         stretches = [
-            s
+            (s.as_one if known.dry else s)
             if rests and (s.ball, s.after) == (1, False)
             else choose_window(s, instant, simple_after if s.after else simple_before, max_residual)
             for s in whole
@@ -173,8 +189,14 @@ def _guess_instant(contact: Contact, camera: Camera) -> float:
 def _cut_stretches(contact: Contact, camera: Camera, instant: float) -> list[Stretch]:
     """The four stretches in the order of SIDES, without the frames of a contact that lasts."""
     tracks, window_s, span = dict(contact.pair.balls), contact.pair.settings.local_window_s, _span(contact, camera)
-    first_and_last = instant - span / 2, instant + span / 2
-    return [cut_stretch(tracks[ball], ball, after, window_s, first_and_last, 1 / camera.fps) for ball, after in SIDES]
+    first_and_last, frame_s, stops = (
+        (instant - span / 2, instant + span / 2),
+        1 / camera.fps,
+        camera.support == "sliding",
+    )
+    return [
+        cut_stretch(tracks[ball], ball, after, window_s, first_and_last, frame_s, stops=stops) for ball, after in SIDES
+    ]
 
 
 def _has_stretches(contact: Contact, camera: Camera, instant: float, late: float, cut: Sequence[Stretch]) -> bool:

@@ -20,7 +20,15 @@ from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.descents import Descent, FitInSteps
 from tracker.measurement.local.lasting_errors import measure_variances
 from tracker.measurement.local.local_problem import KnownEnd, LocalPriors, LocalProblem, LocalSolution
-from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, MotionKind, Stretch
+from tracker.measurement.local.stretches import (
+    REST,
+    ROLL,
+    SLIDE,
+    SLIDE_AND_ROLL,
+    SLIDE_AND_STOP,
+    MotionKind,
+    Stretch,
+)
 
 BEFORE = (ROLL,), (ROLL, SLIDE_AND_ROLL, SLIDE)  # motions of ball 1 and ball 2, which strikes, before the contact
 LEAST_WEIGHT = 0.01  # of those, over the weight of the best
@@ -44,8 +52,12 @@ class StretchFit:
 def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind) -> StretchFit:
     """Fit one stretch of a local fit alone, over a few durations of the slide, and again about the best of them."""
     span = float(np.abs(stretch.time - contact).max())
-    taus, best = np.geomspace(span / 40, 1.5 * span, 12), 0
-    for turn in range(4 if motion.ends else 1):
+    shortest, longest, turns = span / 40, 1.5 * span, 4 if motion.ends else 1
+    if motion.stops:  # at least one position shows the slide; a fast body stops long after, at a time that shows well
+        shortest, longest = max(shortest, 1.5 * float(np.abs(stretch.time - contact).min())), 50 * span
+        turns = 8
+    taus, best = np.geomspace(shortest, longest, 12), 0
+    for turn in range(turns):
         if turn:
             taus = np.geomspace(taus[max(best - 1, 0)], taus[min(best + 1, len(taus) - 1)], 7)
         costs, fits, left = _fit_each(stretch, contact, motion, taus)
@@ -53,6 +65,8 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind) -> 
         best = int(np.argmax(costs <= costs.min() * (1 + 1e-9)))
     out, plain = np.zeros(motion.size), fits.shape[1] - motion.rolls
     out[: 2 * plain] = fits[best, :plain].ravel()
+    if motion.stops:
+        out[4:6] = -out[2:4] / taus[best]
     if motion.ends:
         out[6] = np.log(taus[best])
     if motion.rolls:
@@ -64,17 +78,23 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind) -> 
 
 
 def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Array) -> tuple[Array, Array, Array]:
-    """Fit a stretch with each duration (m,) of its slide: costs (m,), values (m, k, 2) and residuals (m, n, 2), m."""
+    """Fit a stretch with each duration (m,) of its slide: costs (m,), values (m, k, 2) and residuals (m, n, 2), m.
+
+    The duration of a dry slide ends with its stop.
+    """
     since = stretch.time - contact
     weight = 1 / stretch.std
     ahead = np.abs(since)
     far = np.maximum(ahead - taus[:, None], 0.0) ** 2 / 2 if motion.ends else np.zeros((1, len(since)))
     curve = far if motion.ends and not stretch.after else ahead**2 / 2 - far
     columns = [np.ones_like(curve)]
-    if motion.moves:
+    if motion.stops:
+        until = np.minimum(since, taus[:, None])
+        columns = [np.ones_like(until), until - until**2 / (2 * taus[:, None])]
+    elif motion.moves:
         columns.append(np.broadcast_to(since, curve.shape))
     widths = [0.0] * len(columns)
-    if motion.pushed:
+    if motion.pushed and not motion.stops:
         columns.append(curve)
         widths.append(2.0)  # m/s^2
     if motion.rolls:
@@ -148,18 +168,24 @@ def _line(stretch: Stretch, contact: float) -> tuple[Array, Array]:
 
 
 def list_motions(
-    stretches: Sequence[Stretch], rests: bool, glide: bool, before: Sequence[Sequence[MotionKind]] = BEFORE
+    stretches: Sequence[Stretch],
+    rests: bool,
+    glide: bool,
+    before: Sequence[Sequence[MotionKind]] = BEFORE,
+    *,
+    dry: bool = False,
 ) -> Iterator[tuple[MotionKind, ...]]:
     """List the motions that the stretches of a local fit may have, on air (glide) or on a plate.
 
     before: motions that ball 1 and ball 2 may have on a plate before the contact, the simplest first.
+    dry: bodies that glide do so on a dry plate, until they rest.
     """
     choices: list[tuple[MotionKind, ...]] = []
     for s in stretches:
         if s.ball == 1 and not s.after and rests:
             choices.append((REST,))
         elif glide:
-            choices.append((SLIDE,))
+            choices.append((SLIDE_AND_STOP if dry else SLIDE,))
         elif s.after:
             choices.append((SLIDE_AND_ROLL,))
         else:
@@ -181,7 +207,7 @@ def fit_motions(
     """
     found: list[LocalSolution] = []
     for glide in glides:
-        for motions in list_motions(stretches, rests, glide, before):
+        for motions in list_motions(stretches, rests, glide, before, dry=priors.dry):
             problem = LocalProblem(tuple(stretches), motions, priors, glide)
             x = np.zeros(problem.size)
             x[0], x[5], x[6] = contact, np.log(priors.friction), priors.loss

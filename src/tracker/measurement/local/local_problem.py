@@ -4,7 +4,8 @@ The parameters are the instant of the contact, the place of each body there, and
 Weak knowledge keeps short stretches regular, as rows of the least squares:
 
 - the bodies touch at about one diameter, and each is in about one place before and after the contact;
-- the plate's friction, and its rolling loss, are about the same in all stretches.
+- the plate's friction, and its rolling loss, are about the same in all stretches;
+- dry friction is opposite to the velocity, and about the same in all stretches.
 """
 
 from __future__ import annotations
@@ -88,6 +89,10 @@ class LocalPriors:
     loss: float = 0.05  # of rolling, m/s^2; its error is as large
     loss_scatter: float = 0.03  # from stretch to stretch, m/s^2: balls of steel lose more the faster they roll
     push: float = 1.0  # acceleration of bodies that glide, m/s^2
+    dry: bool = False  # whether they slide on a dry plate until they rest
+    # Scatter of dry friction along and across the path, over the common one. Even pressure gives a disc whose rim turns
+    # as fast as it slides 0.85 of the friction. A plate that is tilted by a degree pushes by 0.1 of it.
+    dry_scatter: tuple[float, float] = (0.2, 0.1)
 
 
 @dataclass(frozen=True)
@@ -169,6 +174,11 @@ class LocalProblem:
         return tuple(firsts) if self.priors.slips is not None and len(firsts) == 2 else ()
 
     @cached_property
+    def dry(self) -> tuple[int, ...]:
+        """The stretches of bodies that slide on a dry plate."""
+        return tuple(k for k, motion in enumerate(self.motions) if motion.stops)
+
+    @cached_property
     def turns(self) -> tuple[int, ...]:
         """The stretches of which the direction of friction is known, and no slip."""
         firsts = [k for k in range(len(self.motions)) if self.slides_first(k) and k not in self.slips]
@@ -187,7 +197,8 @@ class LocalProblem:
     def known(self) -> tuple[Array, Array]:
         """Prior knowledge as equations with errors of one: values, and matrix of the parameters.
 
-        The first rows, of the distance, of directions of friction and of slips, are not linear; they are zero here.
+        The first rows, of the distance, of directions of friction, of slips and of dry friction, are not linear; they
+        are zero here.
         """
         rows = self._list_known()
         matrix = np.zeros((len(rows), self.size))
@@ -208,11 +219,14 @@ class LocalProblem:
         rows: list[tuple[float, float, dict[int, float]]] = [(0.0, p.distance_share * p.diameter, {})]
         rows += [(0.0, self.find_turn(k), {}) for k in self.turns]
         rows += [(0.0, 1.0, {})] * (2 * len(self.slips))
+        rows += [(0.0, scatter * p.friction * GRAVITY, {}) for _ in self.dry for scatter in p.dry_scatter]
         rows += [(np.log(p.friction), p.friction_factor, {5: 1.0}), (p.loss, p.loss, {6: 1.0})]
         for k, motion in enumerate(self.motions):
             at, last = self.start[k], self.start[k + 1] - 1
             rows += [(0.0, p.shift_share * p.diameter, {at + axis: 1.0}) for axis in (0, 1)]
-            if motion.pushed and self.glide:
+            if motion.stops:
+                pass
+            elif motion.pushed and self.glide:
                 rows += [(0.0, p.push, {at + 4 + axis: 1.0}) for axis in (0, 1)]
             elif motion.pushed:
                 rows.append((0.0, p.friction_scatter, {at + 4: 1.0}))

@@ -7,7 +7,8 @@ and straight from there on, and H = s^2/2 - G:
   x + v s + a G - loss v^ H;
 - before it, the body slid until tau before the contact and rolled since: x + v s + a H - loss v^ G.
 
-Without tau the acceleration lasts for the whole stretch. Pucks on air move so, and balls that slide all along.
+Without tau the acceleration lasts for the whole stretch. Pucks on air move so, and balls that slide all along. On a dry
+plate a body slides until it stops, and then rests.
 """
 
 from __future__ import annotations
@@ -61,6 +62,11 @@ class Stretch:
         """The same stretch, without the positions beside the contact."""
         return self.where(~self.near)
 
+    @cached_property
+    def as_one(self) -> Stretch:
+        """The same positions of a body at rest, whose errors are all the same."""
+        return replace(self, cov=len(self) * self.cov, fixed=len(self) * self.fixed)
+
     def where(self, rows: Flags) -> Stretch:
         """The same stretch, only those rows."""
         names = ("time", "position", "cov", "fixed", "near", "count")
@@ -74,6 +80,7 @@ class MotionKind(NamedTuple):
     pushed: bool = True  # by an acceleration of its own: friction of a slide, or drag
     ends: bool = True  # whether the push ends, or began, at a time tau from the contact
     rolls: bool = True  # with a loss while it is not pushed
+    stops: bool = False  # the push is dry friction: it slows the body, and the body rests after it
 
     @property
     def size(self) -> int:
@@ -85,18 +92,27 @@ REST = MotionKind(False, False, False, False)
 ROLL = MotionKind(True, False, False, True)
 SLIDE = MotionKind(True, True, False, False)
 SLIDE_AND_ROLL = MotionKind(True, True, True, True)
+SLIDE_AND_STOP = MotionKind(True, True, False, False, True)
 
 
 def cut_stretch(
-    track: BallTrack, ball: int, after: bool, window_s: float, contact: tuple[float, float], frame_s: float
+    track: BallTrack,
+    ball: int,
+    after: bool,
+    window_s: float,
+    contact: tuple[float, float],
+    frame_s: float,
+    *,
+    stops: bool = False,
 ) -> Stretch:
     """Cut the positions of a body up to `window_s` from a contact, without the exposures that hold it.
 
     contact: its first and last instant, s. A body that moves is followed to the next contact only. More positions than
-    MAX_POSITIONS are averaged in groups of neighbours.
+    MAX_POSITIONS are averaged in groups of neighbours. stops: the motion may end at rest. Then all positions at rest
+    count as one, because they may have the same error, as in a film with loss. Otherwise they are left out.
     """
     rows, near = find_rows(track, after, window_s, contact, frame_s)
-    rows = _keep_free_motion(track, rows, near[rows], after, frame_s)
+    rows, rest = _keep_free_motion(track, rows, near[rows], after, frame_s, stops)
     near = near[rows]
     size = np.where(near, NEAR_ERRORS, 1.0)[:, None, None] ** 2
     whole = Stretch(
@@ -113,10 +129,23 @@ def cut_stretch(
     )
     order = np.arange(len(rows)) if after else np.arange(len(rows))[::-1]
     step = -(-(len(rows) - KEPT_POSITIONS) // (MAX_POSITIONS - KEPT_POSITIONS))
-    if step <= 1:
-        return whole
-    group = np.where(order < KEPT_POSITIONS, order, KEPT_POSITIONS + (order - KEPT_POSITIONS) // step)
-    return _average(whole, group if after else group.max() - group)
+    if step > 1:
+        group = np.where(order < KEPT_POSITIONS, order, KEPT_POSITIONS + (order - KEPT_POSITIONS) // step)
+        whole = _average(whole, group if after else group.max() - group)
+    return whole if len(rest) == 0 else _append_rest(whole, track, rest)
+
+
+def _append_rest(whole: Stretch, track: BallTrack, rest: Ints) -> Stretch:
+    """Append the mean of the positions at rest, with the error of one of them."""
+    return replace(
+        whole,
+        time=np.append(whole.time, track.time[rest[0]]),
+        position=np.vstack([whole.position, track.position[rest].mean(axis=0)]),
+        cov=np.concatenate([whole.cov, track.cov[rest].mean(axis=0, keepdims=True)]),
+        fixed=np.concatenate([whole.fixed, track.fixed[rest].mean(axis=0, keepdims=True)]),
+        near=np.append(whole.near, False),
+        count=np.append(whole.count, 1),
+    )
 
 
 def find_rows(
@@ -152,24 +181,57 @@ def _average(whole: Stretch, group: Ints) -> Stretch:
     return replace(whole, time=time, position=position, cov=own + fixed, fixed=fixed, near=near, count=count)
 
 
-def _keep_free_motion(track: BallTrack, rows: Ints, near: Flags, after: bool, frame_s: float) -> Ints:
-    """The rows up to the next contact or to the stop of a body, or back to the contact before."""
-    free = rows[~near]
+def _keep_free_motion(
+    track: BallTrack, rows: Ints, near: Flags, after: bool, frame_s: float, stops: bool
+) -> tuple[Ints, Ints]:
+    """The rows up to the next contact or to the stop of a body, or back to the contact before; those at rest apart.
+
+    stops: whether the rows at rest are needed.
+    """
+    free, none = rows[~near], rows[:0]
     if len(free) < 2:
-        return rows
+        return rows, none
     time, position = track.time[free], track.position[free]
     noise = measure_path_noise([(track.frame, track.position)])
     long = 12  # positions, among which a kink hardly changes the noise
     if len(free) >= long:  # codecs hardly move a body that rests
         noise = np.fmax(noise, measure_path_noise([(track.frame[free], track.position[free])]))
-    if not np.isfinite(noise) or not CUTTER.moves(time, position, noise):
-        return rows
+    if not np.isfinite(noise):
+        return rows, none
+    if not CUTTER.moves(time, position, noise):
+        return _split_at_rest(track, rows, near) if stops and after else (rows, none)
     kinks = CUTTER.find_kinks(time, CUTTER.measure_kinks(time, position, noise))
     parts = list(CUTTER.cut(time, track.frame[free], kinks, frame_s))
     if parts:
         ends = int(free[parts[0][-1] if after else parts[-1][0]])
         rows = rows[rows <= ends] if after else rows[rows >= ends]
-    return _end_at_stop(track, rows, noise) if after else rows
+    if not after:
+        return rows, none
+    if stops:
+        return _split_at_rest(track, rows, near[: len(rows)])
+    return _end_at_stop(track, rows, noise), none
+
+
+def _split_at_rest(track: BallTrack, rows: Ints, near: Flags) -> tuple[Ints, Ints]:
+    """The rows of a body that slides on a dry plate until it rests, and those at rest.
+
+    The last positions are within `same` errors of the middle of the last third. The errors are those while the body
+    moves: the largest of any part of the track. Friction of `least_friction` stops a body on so short a way within a
+    time that follows. The body rests from then on, if its track goes on for as long again. Positions count one by one
+    as long as it moves by `usual_friction`.
+    """
+    same, least_friction, usual_friction, least_rows = 4.0, 0.05, 0.2, 3
+    time, position = track.time[rows], track.position[rows]
+    parts = range(0, len(track.frame) - 11, 6)
+    noise = np.fmax.reduce([measure_path_noise([(track.frame[k : k + 12], track.position[k : k + 12])]) for k in parts])
+    limit = same * float(noise)
+    off = np.hypot(*(position - np.median(position[-(len(rows) // 3) :], axis=0)).T)
+    moving = np.flatnonzero(off > limit)
+    last = max(int(moving[-1]) if len(moving) else 0, int(near.sum()) + least_rows - 1)
+    latest, usual = (np.sqrt(2 * limit / (friction * 9.81)) for friction in (least_friction, usual_friction))
+    if last >= len(rows) or time[-1] - time[last] < 2 * latest:
+        return rows, rows[:0]
+    return rows[time <= time[last] + usual], rows[time > time[last] + latest]
 
 
 def _end_at_stop(track: BallTrack, rows: Ints, noise: float) -> Ints:
@@ -203,6 +265,8 @@ def evaluate_path(motion: MotionKind, values: Array, since: Array, after: bool) 
     slope[..., 0, :, 0] = slope[..., 1, :, 1] = 1.0
     if not motion.moves:
         return path, slope
+    if motion.stops and after:
+        return _evaluate_stop(values, since, path, slope)
     v, at, sign = values[..., None, 2:4, 0], 4, 1.0 if after else -1.0
     a = np.zeros(2)
     slope[..., 2, :, 0] = slope[..., 3, :, 1] = since
@@ -241,4 +305,25 @@ def evaluate_path(motion: MotionKind, values: Array, since: Array, after: bool) 
         slope[..., -1, :, :] += (sign * loss * kept)[..., None] * along
         if motion.ends:
             slope[..., k_tau, :, :] += (sign * tau * late)[..., None] * (a + loss[..., None] * along)
+    return path, slope
+
+
+def _evaluate_stop(values: Array, since: Array, path: Array, slope: Array) -> tuple[Array, Array]:
+    """Evaluate the path of a body that slides until its speed is least, and rests from then on.
+
+    values (..., 6, 1), and the arrays that `evaluate_path` returns, to which the motion is added.
+    """
+    v, a = values[..., None, 2:4, 0], values[..., None, 4:6, 0]
+    speed_2, slows = (v * v).sum(axis=-1), np.minimum((a * v).sum(axis=-1), -1e-12)
+    lasts = -speed_2 / slows
+    s, rests = np.minimum(since, lasts)[..., None], (since > lasts)[..., None]
+    path += s * v + s**2 / 2 * a
+    end = np.where(rests, v + s * a, 0.0)  # the velocity at which it stops: that across its first one
+    by_v = (-2 * v * slows[..., None] + speed_2[..., None] * a) / slows[..., None] ** 2
+    by_a = speed_2[..., None] * v / slows[..., None] ** 2
+    for axis in (0, 1):
+        slope[..., 2 + axis, :, axis], slope[..., 4 + axis, :, axis] = s[..., 0], s[..., 0] ** 2 / 2
+        slope[..., 2 + axis, :, :] += by_v[..., axis, None] * end
+        slope[..., 4 + axis, :, :] += by_a[..., axis, None] * end
+    slope[..., -1, :, :] = np.where(rests, 0.0, -(v + s * a))
     return path, slope

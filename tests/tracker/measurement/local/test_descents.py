@@ -14,8 +14,9 @@ from tracker.measurement.local.descents import (
     solve_descents,
     solve_each,
 )
+from tracker.measurement.local.local_fit import fit_motions
 from tracker.measurement.local.local_problem import KnownEnd, KnownSlips, LocalPriors, LocalProblem
-from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Stretch
+from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, SLIDE_AND_STOP, Stretch
 
 DIAMETER, NOISE = 0.05, 1e-5
 
@@ -81,6 +82,39 @@ def test_derivatives_are_those_of_differences(lasting, known):
         assert (cost - less)[0] / (4 * step) == pytest.approx(pull[0, k], rel=1e-4, abs=1e-4 * np.abs(pull).max()), k
         assert np.isfinite(beyond - before).all()
     assert square == pytest.approx(np.swapaxes(square, 1, 2))
+
+
+@pytest.mark.parametrize("size", [1.0, 3e4])
+def test_derivatives_of_dry_friction_are_those_of_differences(size):
+    """Of the cost, by each parameter; one body stops amid its positions. With large errors what is known counts."""
+    problem = replace(make_problem(1, 12), motions=(SLIDE_AND_STOP,) * 4, glide=True)
+    stack, which = ProblemStack([problem], np.full((1, 4), size)), np.array([0])
+    x = np.random.default_rng(1).normal(0, 0.1, (1, problem.size))
+    x[0, :5] = [0.0, 0.0, 0.0, -DIAMETER, 0.0]
+    for k, speed in enumerate((0.1, 0.5, 0.4, 0.05)):
+        x[0, problem.start[k] : problem.start[k] + 6] = [0.0, 0.0, speed, 0.01, -1.5, 0.1]
+    _, pull, _ = stack.sum_squares(x, which)
+    step = 1e-6
+    for k in range(problem.size):
+        high, low = (stack.sum_squares(x + sign * step * np.eye(problem.size)[k], which)[0][0] for sign in (1, -1))
+        assert (high - low) / (4 * step) == pytest.approx(pull[0, k], rel=1e-4, abs=1e-5 * np.abs(pull).max()), k
+
+
+def test_friction_of_other_stretches_slows_a_body_that_hardly_shows_it():
+    """Three stretches of 60 positions show 1.5 m/s^2; the last has four, which show next to nothing."""
+    stretches, diameter = [], 0.03
+    for ball, after, speed, n in ((1, False, 0.0, 60), (2, False, 1.0, 60), (1, True, 0.9, 60), (2, True, 0.1, 4)):
+        time = np.sort(np.arange(1, n + 1) / 240 * (1 if after else -1))
+        way = speed * time - 0.75 * time**2 if speed else 0 * time
+        position = np.column_stack([way - diameter * (ball == 2), 0 * way])
+        cov = np.tile(np.eye(2) * NOISE**2, (n, 1, 1))
+        near, count = np.zeros(n, dtype=bool), np.ones(n, int)
+        stretches.append(Stretch(ball, after, time, position, cov, 0 * cov, near, count))
+    found = run_alone(fit_motions(stretches, 0.0, True, (True,), LocalPriors(diameter, dry=True)))
+    solution, at = found[0], found[0].problem.start[3]
+    assert solution.problem.motions[3] == SLIDE_AND_STOP
+    assert solution.x[at + 4] == pytest.approx(-1.5, abs=0.03)
+    assert 0.1 < np.sqrt(solution.cov[at + 4, at + 4]) / 1.5 < 0.25
 
 
 @pytest.mark.parametrize("lasting", [0.0, 5e-6])

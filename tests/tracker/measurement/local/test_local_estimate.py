@@ -67,7 +67,12 @@ def test_balls_are_measured_without_a_law_of_the_impact(spin):
 def test_stretches_are_cut_once_where_the_fit_moves_the_contact_to_no_other_frame(monkeypatch):
     paths, _ = play_hit(0.35, 0.35)
     cut, cut_stretch = [], local_estimate.cut_stretch
-    monkeypatch.setattr(local_estimate, "cut_stretch", lambda *given: cut.append(given[1:3]) or cut_stretch(*given))
+
+    def count(*given, **more):
+        cut.append(given[1:3])
+        return cut_stretch(*given, **more)
+
+    monkeypatch.setattr(local_estimate, "cut_stretch", count)
     assert measure(film(paths, BALLS, np.random.default_rng(0)), BALLS).rows[0]["chi2_local"] > 0
     assert cut == list(local_estimate.SIDES)
 
@@ -118,6 +123,17 @@ def test_pucks_that_slide_until_they_stop_show_r_in_a_film_with_loss(number):
     assert row["r_local"] == pytest.approx(row["r_true"], abs=2.5 * row["r_local_std"])
     assert row["r_local_std"] < 0.05
     assert row["v0_local"] == pytest.approx(row["v0_true"], abs=3 * row["v0_local_std"])
+
+
+@pytest.mark.parametrize(("seed", "number"), [(107, 5), (104, 131), (107, 2), (105, 69)])
+def test_velocities_of_pucks_that_stop_within_a_few_frames_have_errors(seed, number):
+    """They stop within 5 to 11 frames. Their rest made velocities of 0.05 m/s zero, by 100 of the errors."""
+    row = measure_one("dry pucks", number, seed, 0.0)
+    row |= apply_errors(row, LocalErrors())
+    assert np.hypot(row["v2ox_true"], row["v2oy_true"]) < 0.06
+    for name in ("v2ox", "v2oy", "r"):
+        assert row[f"{name}_local"] == pytest.approx(row[f"{name}_true"], abs=2.5 * row[f"{name}_local_std"])
+    assert row["r_local_std"] < 0.03
 
 
 @pytest.mark.parametrize(("claimed", "limit"), [(True, MAX_RESIDUAL_CLAIMED), (False, MAX_RESIDUAL_SCATTER)])

@@ -11,6 +11,7 @@ from tracker.measurement.local.stretches import (
     ROLL,
     SLIDE,
     SLIDE_AND_ROLL,
+    SLIDE_AND_STOP,
     cut_stretch,
     evaluate_path,
 )
@@ -21,6 +22,7 @@ VALUES = {
     ROLL: [0.1, 0.2, 0.5, -0.3, 0.05],
     SLIDE: [0.1, 0.2, 0.5, -0.3, -1.2, 0.6],
     SLIDE_AND_ROLL: [0.1, 0.2, 0.5, -0.3, -1.2, 0.6, np.log(0.1), 0.05],
+    SLIDE_AND_STOP: [0.1, 0.2, 0.5, -0.3, -2.2, 0.9],
 }
 
 
@@ -49,6 +51,20 @@ def test_a_slide_ends_at_the_velocity_that_friction_leaves():
     legs = at + v * tau + a * tau**2 / 2 + left[:, None] * final
     legs -= loss * left[:, None] ** 2 / 2 * final / np.hypot(*final)
     assert evaluate_path(SLIDE_AND_ROLL, values, tau + left, True)[0] == pytest.approx(legs, abs=1e-12)
+
+
+@pytest.mark.parametrize("across", [0.0, 0.2])
+def test_dry_friction_stops_a_body_after_half_its_speed_times_the_time(across):
+    """v t/2 as for any constant deceleration; a push across the path, in m/s^2, acts until then."""
+    speed, friction = 0.5, 2.0
+    stops_s = speed / friction
+    values = np.array([0.1, 0.2, speed, 0.0, -friction, across])
+    path = evaluate_path(SLIDE_AND_STOP, values, stops_s + np.array([-1e-9, 0.1, 3.0]), True)[0]
+    end = [0.1 + speed * stops_s / 2, 0.2 + across * stops_s**2 / 2]
+    assert path == pytest.approx(np.tile(end, (3, 1)), abs=1e-9)
+    since = np.linspace(-0.3, -0.01, 4)  # before the contact it was faster, and never at rest
+    faster = speed * since - friction * since**2 / 2
+    assert evaluate_path(SLIDE_AND_STOP, values, since, False)[0][:, 0] == pytest.approx(0.1 + faster)
 
 
 @pytest.mark.parametrize("after", [False, True])
@@ -86,6 +102,26 @@ def test_a_stretch_ends_where_its_body_stops(stops_s, creep):
     track = BallTrack(particle=1, frame=np.arange(120), start=time, position=position, cov=cov, exposure=0.0)
     last = cut_stretch(track, 1, True, 1.0, (0.0, 0.0), 1 / 240).time[-1]
     assert last > 0.98 * time[-1] if stops_s > time[-1] else 0.4 * stops_s < last < 1.01 * stops_s
+
+
+@pytest.mark.parametrize("stops_s", [0.02, 0.05, 0.15, 0.6])
+def test_all_positions_at_rest_count_as_one(stops_s):
+    """The error of the last moving position lasts, as in a film with loss. Errors of neighbours correlate by 0.7."""
+    rng, time = np.random.default_rng(2), np.arange(-30, 121) / 240.0
+    moving = np.clip(time, -1.0, stops_s)
+    errors = rng.normal(0, 1e-4, (151, 2))
+    for k in range(1, 151):
+        errors[k] = 0.7 * errors[k - 1] + 0.71 * errors[k] if time[k] < stops_s else errors[k - 1] + 0.05 * errors[k]
+    position = np.column_stack([1.5 * (stops_s * moving - moving**2 / 2), 0 * moving]) + errors
+    cov = np.tile(np.eye(2) * 1e-8, (151, 1, 1))
+    track = BallTrack(particle=1, frame=np.arange(151), start=time, position=position, cov=cov, exposure=0.0)
+    stretch = cut_stretch(track, 1, True, 1.0, (-1e-3, -1e-3), 1 / 240, stops=True)
+    assert (stretch.time > stops_s).sum() <= 10 if stops_s < 0.5 else stretch.time[-1] == pytest.approx(0.5, abs=0.01)
+    if stops_s < 0.5:
+        last = stretch.position[-1]
+        assert last == pytest.approx([1.5 * stops_s**2 / 2, 0.0], abs=4e-4)
+        assert stretch.std[-1] == pytest.approx(1e-4)
+    np.testing.assert_array_equal(stretch.as_one.cov, len(stretch) * stretch.cov)
 
 
 @pytest.mark.parametrize("moves", [False, True])
