@@ -83,7 +83,7 @@ class LibraryFits:
         if key not in self.fits:
             self._keep(key, self._start_from_larger(key))
         if key not in self.done:
-            fit = leave_local_minima(self.evidence, minimise_chi2(self.evidence, self.fits[key]))
+            fit = leave_local_minima(self.evidence, self._descend(ordered))
             self._keep(key, self._escape_local_minimum(ordered, fit))
             self.done.add(key)
         return self.fits[key]
@@ -137,6 +137,30 @@ class LibraryFits:
         if known is None or fit.chi2 < known.chi2:
             self._keep(key, fit)
             self.done.discard(key)
+
+    def _descend(self, state: State) -> ModelFit:
+        """Minimise chi^2 of a model from its known fit, or from the best fitted model that it contains.
+
+        It starts from the latter only if chi^2 cannot fall below that of the contained model. Such a start has lost a
+        strong effect, and launches and other effects still compensate for it. Steps from there are short.
+        """
+        key = frozenset(state)
+        parts = [known for known in self.fits if known < key]
+        part = min(parts, key=lambda known: (self.fits[known].chi2, len(known))) if parts else key
+        least = self.fits[part].chi2 + MIN_USEFUL_CHI2 if parts else math.inf
+        found = minimise_chi2(self.evidence, self.fits[key], useful_chi2=least)
+        if found.chi2 <= least:
+            return found
+        added = [candidate for candidate in state if candidate not in part]
+        model = self.fits[part].model.replace(
+            {name: found.model.value(name) for candidate in added for name in candidate.shapes}
+            | {name: self.fits[part].model.value(name) for candidate in added for name in candidate.strengths}
+        )
+        try:
+            start = linearise(self.evidence, model, found.names, self.fits[part].launches)
+        except ValueError:  # the model has no motion there
+            return minimise_chi2(self.evidence, found)
+        return minimise_chi2(self.evidence, start)
 
     def _escape_local_minimum(self, state: State, fit: ModelFit) -> ModelFit:
         """Return the fit, or a better one from other shape parameters: chi^2 may have several minima."""

@@ -7,6 +7,7 @@ import pytest
 from discrepancy_clips import collisions, exact, noisy, only
 from discrepancy_selected import library_fits, selected
 
+from discrepancy.data.launch import HEADING
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.jacobian import linearise
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
@@ -110,6 +111,22 @@ def test_score_tests_are_those_of_the_fit_that_is_kept(monkeypatch):
     after = store.score_tests(())
     assert after.fit.chi2 == store.fit(()).chi2 < 0.3 * before.fit.chi2
     assert after.ranking()[0].sigma < before.ranking()[0].sigma
+
+
+def test_a_fit_that_cannot_reach_a_model_that_it_contains_begins_again_there(monkeypatch):
+    """Strikers that come from the wrong side: no step from there leads back."""
+    only(monkeypatch, air_drag=library()["air_drag"])
+    clips = collisions(Model(), 4, 3)
+    noise = estimate_noise(clips)
+    base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
+    store = library_fits(clips, base, noise)
+    (drag,) = list_candidates(Model(), BASE_PARAMETERS)
+    turned, names = base.launches.copy(), (*BASE_PARAMETERS, "air_drag.share")
+    turned[:, HEADING] += 3.0
+    store.offer(frozenset({drag}), linearise(store.evidence, Model().replace({names[-1]: 3.0}), names, turned))
+    found = store.fit((drag,))
+    assert found.chi2 < base.chi2 + fits_of_library.MIN_USEFUL_CHI2
+    assert found.names == names
 
 
 @pytest.mark.gate
