@@ -20,6 +20,7 @@ from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import replace_within_limits
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
+from discrepancy.policy import current_policy
 from synthcam.model import Model, without_mutual_push
 from synthcam_shared.arrays import Array, Flags
 
@@ -42,7 +43,14 @@ def fit_model(
     return minimise_chi2(whitened, linearise(whitened, model, tuple(names), places))
 
 
-def minimise_chi2(whitened: WhitenedClips, fit: ModelFit, rough: bool = False, useful_chi2: float = np.inf) -> ModelFit:
+def minimise_chi2(
+    whitened: WhitenedClips,
+    fit: ModelFit,
+    rough: bool = False,
+    useful_chi2: float = np.inf,
+    max_steps: int = 40,
+    least_share: float = 0.0,
+) -> ModelFit:
     """Minimise chi^2 of all clips by Gauss-Newton steps from a fit.
 
     A whole step is tried first, then 30 and 10 % of it, since along a bent valley a shorter step still descends. If all
@@ -54,10 +62,13 @@ def minimise_chi2(whitened: WhitenedClips, fit: ModelFit, rough: bool = False, u
 
     useful_chi2: a fit with a larger chi^2 is of no use. The descent ends where a third of the way down to it is more
     than the last step gained and than the next one promises. A step that failed does not count.
+
+    max_steps: steps to try. least_share: clips above `SearchPolicy.poor_chi2_per_point` count as fitted if a step gains
+    less than this share of their chi^2. They stay poor whatever the rest of the descent gains.
     """
     damping, tolerance, last, gained = 0.0, 0.1 if rough else 1e-3, False, np.inf
     held = np.zeros(len(fit.residuals))  # damping of single launches
-    for _ in range(40):
+    for _ in range(max_steps):
         try:
             values, own = _step(fit, damping, held)
         except STEP_ERRORS:
@@ -92,12 +103,21 @@ def minimise_chi2(whitened: WhitenedClips, fit: ModelFit, rough: bool = False, u
         last = gained < tolerance and share == 1
         if last and fit.is_linearised_here:
             return moved if rough else _relinearise(whitened, moved) or moved
-        fit = moved
+        stalled, fit = least_share > 0 and _has_stalled(fit, moved, tolerance, least_share), moved
+        if stalled:
+            return fit if rough else _relinearise(whitened, fit) or fit
         if not last and abs(gained - predicted) > 0.2 * predicted:
             if (here := _relinearise(whitened, fit)) is None:
                 break
             fit = here
     return fit
+
+
+def _has_stalled(fit: ModelFit, moved: ModelFit, tolerance: float, least_share: float) -> bool:
+    """Tell if a step gained less than this share of chi^2 in each poor clip, and than the tolerance in each other."""
+    before, after = (np.array([r @ r for r in each.residuals]) for each in (fit, moved))
+    poor = after > current_policy().poor_chi2_per_point * np.array([len(r) for r in moved.residuals])
+    return bool(poor.any() and np.all(before - after < np.where(poor, least_share * after, tolerance)))
 
 
 def _reduce_damping(damping: Array | float) -> Array | np.float64:

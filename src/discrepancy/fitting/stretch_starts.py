@@ -23,6 +23,7 @@ from synthcam.model import Model
 from synthcam_shared.arrays import Array
 
 SLIDES = (0.2, 0.5, 0.9)  # shares of a stretch for which its ball may slide
+LEAST_SHARE = 0.01  # a descent of launches ends where a step gains less than this share of chi^2 of poor stretches
 
 
 def choose_starts(
@@ -70,7 +71,8 @@ def fit_launches(
     """
     whitened = WhitenedClips.of(clips, noise)
     start = np.array([c.launch for c in clips] if launches is None else launches, dtype=float)
-    return leave_local_minima(whitened, minimise_chi2(whitened, linearise(whitened, model, (), start)))
+    fit = minimise_chi2(whitened, linearise(whitened, model, (), start), least_share=LEAST_SHARE)
+    return leave_local_minima(whitened, fit)
 
 
 def leave_local_minima(whitened: WhitenedClips, fit: ModelFit, max_rounds: int = 2) -> ModelFit:
@@ -87,7 +89,8 @@ def leave_local_minima(whitened: WhitenedClips, fit: ModelFit, max_rounds: int =
         launches = _find_better_launches(whitened, fit)
         if launches is None:
             break
-        fit = minimise_chi2(whitened, linearise(whitened, fit.model, fit.names, launches))
+        share = 0.0 if fit.names else LEAST_SHARE
+        fit = minimise_chi2(whitened, linearise(whitened, fit.model, fit.names, launches), least_share=share)
     return fit
 
 
@@ -106,7 +109,7 @@ def _find_better_launches(whitened: WhitenedClips, fit: ModelFit, least: float =
     launches = fit.launches.copy()
     for start in [np.array([clips[k].launch for k in poor]), *tries]:
         with suppress(*STEP_ERRORS):  # no motion from one of these starts
-            found = minimise_chi2(some, linearise(some, fit.model, (), start), rough=True)
+            found = minimise_chi2(some, linearise(some, fit.model, (), start), rough=True, least_share=LEAST_SHARE)
             for k, r, own in zip(poor, found.residuals, found.launches, strict=True):
                 if r @ r < best[k]:
                     best[k], launches[k] = float(r @ r), own

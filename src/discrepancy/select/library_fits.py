@@ -26,6 +26,7 @@ State = tuple[Candidate, ...]
 Key = frozenset[Candidate]
 
 MIN_USEFUL_CHI2 = 2.0  # less is not worth another fit
+MAX_STEPS_TO_PART = 10  # of a fit, until it is as good as a model that it contains
 SCORE_ERROR_CHI2 = 15.0  # a score test is only of first order: its chi^2 may be wrong by so much
 
 
@@ -141,16 +142,16 @@ class LibraryFits:
     def _descend(self, state: State) -> ModelFit:
         """Minimise chi^2 of a model from its known fit, or from the best fitted model that it contains.
 
-        It starts from the latter only if chi^2 cannot fall below that of the contained model. Such a start has lost a
-        strong effect, and launches and other effects still compensate for it. Steps from there are short.
+        It starts from the latter only if the first steps do not lead below chi^2 of the contained model. The known fit
+        then began where launches and other effects compensate for a strong effect that was removed.
         """
         key = frozenset(state)
         parts = [known for known in self.fits if known < key]
         part = min(parts, key=lambda known: (self.fits[known].chi2, len(known))) if parts else key
         least = self.fits[part].chi2 + MIN_USEFUL_CHI2 if parts else math.inf
-        found = minimise_chi2(self.evidence, self.fits[key], useful_chi2=least)
+        found = minimise_chi2(self.evidence, self.fits[key], max_steps=MAX_STEPS_TO_PART)
         if found.chi2 <= least:
-            return found
+            return minimise_chi2(self.evidence, found)
         added = [candidate for candidate in state if candidate not in part]
         model = self.fits[part].model.replace(
             {name: found.model.value(name) for candidate in added for name in candidate.shapes}

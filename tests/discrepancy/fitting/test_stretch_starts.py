@@ -9,7 +9,7 @@ from discrepancy_clips import STD, exact, noisy
 from discrepancy.data.launch import SLIP
 from discrepancy.data.notes import SearchNoteKind
 from discrepancy.data.stretches import cut_stretches
-from discrepancy.fitting import stretch_starts
+from discrepancy.fitting import gauss_newton, stretch_starts
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import WhitenedClips
@@ -47,6 +47,26 @@ def test_a_fit_of_launches_leaves_the_minimum_of_balls_that_roll_from_the_start(
     cut = stretches_with_wrong_starts()
     assert chi2_of_worst(fit_model(cut, Model(), (), CLAIMED_NOISE)) > 100
     assert chi2_of_worst(fit_launches(cut, Model(), CLAIMED_NOISE)) < 2
+
+
+def test_a_fit_of_launches_soon_ends_where_the_model_is_hopeless(monkeypatch):
+    """A friction four times too large: half of the steps lead as far, to 2000 chi^2 per point."""
+    wrong, cut = Model().replace({"sliding_friction": 0.8}), cut_stretches(noisy(exact(Model(), 4, 2), 2))
+    cut, _ = choose_starts(cut, Model())
+    relinearise, steps = gauss_newton._relinearise, {0.0: 0, stretch_starts.LEAST_SHARE: 0}
+    chi2 = []
+    for share in steps:
+
+        def count(*given, share=share):
+            steps[share] += 1
+            return relinearise(*given)
+
+        monkeypatch.setattr(gauss_newton, "_relinearise", count)
+        monkeypatch.setattr(stretch_starts, "LEAST_SHARE", share)
+        chi2.append(fit_launches(cut, wrong, CLAIMED_NOISE).chi2)
+    to_the_end, soon = steps.values()
+    assert soon < 0.7 * to_the_end
+    assert chi2[1] == pytest.approx(chi2[0], rel=0.01)
 
 
 def test_a_base_fit_leaves_the_minimum_of_balls_that_roll_from_the_start():
