@@ -71,7 +71,8 @@ def fit_launches(
     """
     whitened = WhitenedClips.of(clips, noise)
     start = np.array([c.launch for c in clips] if launches is None else launches, dtype=float)
-    fit = minimise_chi2(whitened, linearise(whitened, model, (), start), least_share=LEAST_SHARE)
+    share = LEAST_SHARE if any(clip.is_stretch for clip in clips) else 0.0
+    fit = minimise_chi2(whitened, linearise(whitened, model, (), start), least_share=share)
     return leave_local_minima(whitened, fit)
 
 
