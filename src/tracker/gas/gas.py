@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from tracker.gas.energy import SINKS, measure_losses
+from tracker.gas.free_paths import PathCuts, cut_free_paths, extrapolate_to_contact
 from tracker.gas.pair_correlation import pair_correlation
 from tracker.gas.temperature import (
     MIN_BALLS,
@@ -26,7 +27,6 @@ from tracker.gas.temperature import (
     measure_temperatures,
     tabulate_velocities,
 )
-from tracker.gas.velocities import PathCuts, cut_free_paths, extrapolate_to_contact
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import measure_path_noise as measure_scatter_of_paths
 

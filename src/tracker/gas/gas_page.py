@@ -36,7 +36,7 @@ METHOD = (
     "On a free path a ball loses energy to the plate, because it slides and rolls. At a contact balls lose what "
     "the local estimate of the contact gives. Energy of rotation is not seen. Not resolved: the loss of a contact is "
     "not known, a free path has too few frames, or the ball was not seen.",
-    "The errors of the energies leave out contacts that were not found or have a wrong partner.",
+    "Contacts whose paths show no loss take what contacts with such a kick usually take.",
     "Theory: hard discs of the measured temperature and density, with a Maxwellian distribution (Enskog), and the pair "
     "correlation at contact of Henderson (1975).",
     "The pair correlation is corrected for the edges of the rectangle of the centres. Its errors are the scatter of 20 "

@@ -11,10 +11,12 @@ import numpy as np
 import pandas as pd
 
 from synthcam_shared.arrays import Array
-from tracker.gas.velocities import FreePath, HalfVelocities
+from tracker.gas.free_paths import FreePath
+from tracker.gas.velocities import HalfVelocities
 
 HALVES = ("even_x", "even_y", "odd_x", "odd_y")
 MIN_BALLS = 3  # in a frame, for a temperature about the mean velocity
+HOTTER = 0.3  # how much hotter balls without a velocity may be; fast ones are hit more often
 MIN_SIGNIFICANCE = 5.0  # of a temperature in its errors, for the shape of the distribution in that frame
 
 
@@ -33,7 +35,7 @@ def tabulate_velocities(paths: Sequence[FreePath]) -> pd.DataFrame:
             "gain_even": every.gain_even,
             "gain_odd": every.gain_odd,
             "gain_common": every.gain_common,
-            "unsure": np.concatenate([path.unsure for path in paths]),
+            "unsure": np.concatenate([path.unsure[:-2] for path in paths]),
         }
     )
     table["unknown"] = table.groupby("frame")["even_x"].transform(lambda column: column.isna().sum())
@@ -65,13 +67,14 @@ def measure_temperatures(table: pd.DataFrame, noise: float) -> pd.DataFrame:
     sums = pd.DataFrame(rows).groupby("frame")
     mean, balls, unknown = group[list(HALVES)].mean(), group.size(), group["unknown"].first()
     spread = sums["product"].std() / 2
-    missing = spread * np.sqrt(unknown) / (balls + unknown)
+    temperature = sums["product"].sum() / (2 * (balls - 1))
+    missing = np.hypot(spread * np.sqrt(unknown), HOTTER * temperature * unknown) / (balls + unknown)
     noisy = np.sqrt(sums["variance"].sum() + sums["smoothed"].sum() ** 2) / (2 * (balls - 1))
     result = pd.DataFrame(
         {
             "balls": balls,
             "unknown": unknown,
-            "temperature": sums["product"].sum() / (2 * (balls - 1)),
+            "temperature": temperature,
             "temperature_std": np.hypot(noisy, missing),
             "temperature_sampling": spread / np.sqrt(balls),
             "drift_x": (mean["even_x"] + mean["odd_x"]) / 2,

@@ -1,15 +1,19 @@
 """A gas against closed forms: parabolas, a Maxwellian, equal speeds, random points, and energies that add up."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 import synthcam
 from synthcam_shared.errors import InputError
-from tracker.gas.energy import SINKS, measure_contact_losses, measure_losses, predict_losses
+from tracker.gas.contact_losses import measure_contact_losses, predict_losses
+from tracker.gas.energy import SINKS, measure_losses
+from tracker.gas.free_paths import FreePath
 from tracker.gas.gas import GasCamera, contact_pair_correlation, contact_rate, mean_free_path, measure_gas
 from tracker.gas.pair_correlation import pair_correlation
-from tracker.gas.velocities import FreePath, HalfVelocities, find_slide_end, fit_velocities
+from tracker.gas.velocities import HalfVelocities, find_slide_end, fit_velocities
 from tracker.measurement.crowd.contact_table import tabulate_contacts
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 from tracker.tables.read import to_pixels
@@ -165,9 +169,8 @@ def make_path(ball, frames, velocity, start=-1, end=-1):
     every = np.tile(np.asarray(velocity, dtype=float), (len(frames) + 2, 1))
     tiny = np.full(len(every), 1e6)
     halves, frame = HalfVelocities(every, every, tiny, tiny, 0 * tiny), np.array(frames)
-    return FreePath(
-        ball, frame, frame / FPS, start, end, frame[0] / FPS - 1e-3, frame[-1] / FPS + 1e-3, halves, 0.0 * frame
-    )
+    time, unsure = frame / FPS, np.zeros(len(every))
+    return FreePath(ball, frame, time, start, end, time[0] - 1e-3, time[-1] + 1e-3, halves, unsure)
 
 
 def make_kicks(contacts, kick):
@@ -261,10 +264,90 @@ def test_energy_that_is_not_resolved_counts_in_the_errors(other):
     assert last["lost_to_plate_std"] == pytest.approx(0.03, rel=0.01)
 
 
+def make_chain(hidden):
+    """Ten pairs that show their losses, and one ball that hits two others between two frames, with no path between.
+
+    hidden: whether the second of these was not found, so that the ball has a lone kink inside the hull of all contacts.
+    """
+    table, paths, nan = [], [], float("nan")
+    for k in range(10):
+        table.append((0.04, 2 * k, 2 * k + 1, nan, nan))
+        for ball, before, after in ((2 * k, 0.4, 0.02), (2 * k + 1, 0.0, 0.36)):
+            paths += [make_path(ball, range(10), (before, 0), end=k)]
+            paths += [make_path(ball, range(11, 20), (after, 0), start=k)]
+    table += [(0.0401, 20, -1 if hidden else 21, nan, nan)] + [(0.0411, 20, 22, nan, nan)] * (not hidden)
+    paths += [make_path(20, range(10), (0.4, 0), end=10)]
+    paths += [make_path(20, range(11, 20), (0.03, 0), start=10 if hidden else 11)]
+    if not hidden:
+        wrong = replace(make_path(20, [10], (9, 9), start=10, end=11), usable=False)
+        others = [make_path(21, range(10), (0, 0), end=10), make_path(21, range(11, 20), (0.2, 0), start=10)]
+        paths += [
+            wrong,
+            *others,
+            make_path(22, range(10), (0, 0), end=11),
+            make_path(22, range(11, 20), (0.3, 0), start=11),
+        ]
+    x = np.where(np.arange(len(table)) < 10, np.arange(len(table)) % 4, 1.5) * 0.1
+    y = np.where(np.arange(len(table)) < 10, np.arange(len(table)) // 4, 1.0) * 0.1
+    kicks = {"kick": 0.38, "kick_std": 1e-3, "nx": -1.0, "ny": 0.0}
+    return make_contacts(*table).assign(**kicks, x=x, y=y), paths
+
+
+def test_contacts_without_a_path_between_them_are_balanced_together():
+    """The ball gives 0.2 and 0.3 m/s to two others; the positions between both hits show nothing."""
+    table, paths = make_chain(hidden=False)
+    last = measure_losses(paths, table, np.arange(20), 1e-9, 1 / FPS).iloc[-1]
+    of_pairs, of_chain = 10 * (0.4**2 - 0.02**2 - 0.36**2) / 2, (0.4**2 - 0.03**2 - 0.2**2 - 0.3**2) / 2
+    assert last["lost_in_contacts"] == pytest.approx(of_pairs + of_chain, rel=1e-6)
+    assert last["lost_in_contacts_std"] == pytest.approx(np.hypot(2.0 * 0.002 * 9, 0.3 * of_chain), rel=1)
+    assert last[["lost_to_plate", "lost_unresolved"]].tolist() == pytest.approx([0, 0], abs=1e-9)
+
+
+def test_a_hit_of_a_ball_that_was_not_found_takes_what_its_kick_lets_expect():
+    """Its ball loses much more, which the other one has. The plate's loss holds it, until that one hits something."""
+    table, paths = make_chain(hidden=True)
+    last = measure_losses(paths, table, np.arange(20), 1e-9, 1 / FPS).iloc[-1]
+    each = (0.4**2 - 0.02**2 - 0.36**2) / 2
+    assert last["lost_in_contacts"] == pytest.approx(10.75 * each, rel=1e-3)
+    assert 0.7 * each < last["lost_in_contacts_std"] < each
+    assert last["lost_to_plate"] == pytest.approx((0.4**2 - 0.03**2) / 2 - 0.75 * each, rel=1e-3)
+
+
+@pytest.mark.parametrize("at", ["start", "end"])
+def test_a_hit_beside_the_first_or_last_frame_counts_in_the_errors(at):
+    """One of five balls turns back half a frame after the first one, or before the last. No table has that contact."""
+    noise, frames = 1e-6, 40
+    velocities = np.array([[0.1, 0.0], [0.0, 0.2], [-0.1, 0.1], [0.1, 0.1], [0.4, 0.0]])
+    balls = make_gas(velocities, frames, noise)
+    position, row = balls[4].position.copy(), 0 if at == "start" else frames - 1
+    position[row, 0] += (1.0 if at == "start" else -1.0) * 0.5 * 0.7 / FPS  # the velocity there is -0.3 m/s
+    balls[4] = make_ball(4, position, noise)
+    time = measure_gas(balls, NO_CONTACTS, GasCamera(0.002, FPS)).time
+    off = (0.4**2 - 0.3**2) / 2
+    assert 0.5 * off < time["energy_std"].iloc[row] < 5 * off
+    assert time["energy_std"].iloc[frames // 2] < 1e-3 * off
+
+
+@pytest.mark.parametrize(("bounces_at", "error_frames"), [(19.95, 0.2), (20.05, 0.01)])
+def test_it_is_not_sure_on_which_side_of_a_frame_a_contact_is(bounces_at, error_frames):
+    """The table puts a bounce 0.05 frames after a frame; it may have come before, if its time is known worse."""
+    t, noise, bounce = np.arange(40) / FPS, 1e-6, bounces_at / FPS
+    balls = make_gas(np.array([[0.1, 0.0], [0.0, 0.2], [-0.1, 0.1]]), 40, noise)
+    x = np.where(t < bounce, 0.4 * (t - bounce), -0.2 * (t - bounce))
+    balls.append(make_ball(3, np.column_stack([x, np.full(40, 3.0)]), noise))
+    contacts = make_contacts((20.05 / FPS, 3, -1, np.nan, np.nan)).assign(t_s_std=error_frames / FPS)
+    time = measure_gas(balls, contacts, GasCamera(0.01, FPS, on_air=True)).time
+    std = time["energy_std"].iloc[20]
+    if error_frames > 0.1:
+        assert 0.4 < (0.4**2 - 0.2**2) / 2 / std < 2
+    else:
+        assert std < 0.003
+
+
 @pytest.mark.gate
 def test_sinks_of_a_tray_have_the_errors_that_they_claim():
     """Four films of 100 balls against the simulation; without the rules for walls their z is 11 or so."""
-    z = []
+    z, of_contacts = [], []
     for seed in range(1, 5):
         clip, rng = synthcam.Scene.read("cooling", timing={"frames": 120}).draw(seed=seed), np.random.default_rng(seed)
         x, y = (clip.tracks[f"{axis}_mean_px"] + 0.05 * rng.standard_normal(len(clip.tracks)) for axis in "xy")
@@ -281,9 +364,13 @@ def test_sinks_of_a_tray_have_the_errors_that_they_claim():
                 (motion.at(when)[["vx", "vy"]].to_numpy() ** 2).sum() / 2 for when in (np.maximum(at - 1e-9, 0), at)
             )  # of all balls, of which only those that hit change
             z.append((last[f"lost_{name}"] - (before - after)) / last[f"lost_{name}_std"])
+            of_contacts += [(last[f"lost_{name}"], last[f"lost_{name}_std"], before - after)] * (kind == "contact")
     rms = np.sqrt((np.reshape(z, (-1, 2)) ** 2).mean(axis=0))
     assert (rms < 1.5).all()
     assert (rms > 0.2).all()
+    measured, std, true = np.sum(of_contacts, axis=0)
+    assert measured / true == pytest.approx(1, abs=0.1)  # 0.7 or so without the balance of energies
+    assert std < 0.25 * true
 
 
 @pytest.mark.parametrize("partner", [False, True])

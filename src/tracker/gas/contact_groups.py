@@ -1,0 +1,130 @@
+"""Contacts that follow one another too fast for a velocity between them, and what they take together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from synthcam_shared.arrays import Array, Flags, Ints
+from tracker.gas.contact_losses import (
+    expect_losses,
+    find_approaches,
+    find_measured,
+    lies_inside,
+    measure_contact_losses,
+    measure_energies,
+)
+from tracker.gas.free_paths import FreePath
+from tracker.gas.hidden_slides import USUAL_FRICTION
+
+HIDDEN_SHARE = 0.1  # of the energy of contacts next to one another, by one of the other kind that was not found
+COMMON_ERROR_OF_EXPECTED = 0.3  # relative, of losses that the kicks let expect
+
+
+class ContactGroups(NamedTuple):
+    """Contacts whose losses are only known together, because a path between them shows no velocity; and the losses."""
+
+    label: Ints  # of each contact, the number of its group
+    loss: Array  # of each group, m^2/s^2; NaN if it is not known
+    variance: Array
+    common: Array  # (groups, 2) effects of errors that all contacts share
+    expected: Array  # (2, groups) what its contacts of balls, and its contacts with walls, usually take
+    expected_std: Array
+    share: Array  # (2, groups) of balls and of walls in its loss
+    share_variance: Array  # (groups,)
+    bodies: Ints  # (groups,) sum of the numbers of balls of its contacts
+
+    def select(self, contacts: Ints) -> Ints:
+        """The groups of these contacts."""
+        return np.unique(self.label[contacts])
+
+
+def lies_within_group(path: FreePath) -> bool:
+    """Decide whether a path lies within a group of contacts, because it does not show what each of them took."""
+    return not path.usable and min(path.start, path.end) >= 0
+
+
+def group_contacts(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float, frame_s: float) -> ContactGroups:
+    """Join contacts between which a ball has no usable path, and balance the energies of the balls before and after.
+
+    The contacts of a group take what its balls lose in all, but for what the plate takes between them. Losses far from
+    what the kicks let expect are not known: a contact that was not found changes them.
+    """
+    most_sigma = 4.0
+    taken, variances, common = measure_contact_losses(contacts, paths, noise, frame_s)
+    balls, lone = contacts[["particle1", "particle2"]].to_numpy(), lies_inside(contacts)
+    bodies = 1 + (balls[:, 1] >= 0)
+    lone &= bodies == 1  # kinks of balls that hit one that was not found
+    inner = [path for path in paths if lies_within_group(path)]
+    links = np.array([[path.start, path.end] for path in inner], dtype=np.int64).reshape(-1, 2).T
+    graph = coo_matrix((np.ones(len(inner)), tuple(links)), (len(contacts), len(contacts)))
+    groups, found = connected_components(graph, directed=False)
+    label = found.astype(np.int64)
+    single = (np.bincount(label, minlength=groups) == 1)[label]
+    is_wall, expected, std = (bodies == 1) & ~lone, np.zeros((2, groups)), np.zeros((2, groups))
+    if "kick" in contacts and len(contacts):
+        across = find_approaches(contacts, paths, noise)[1]
+        each, error = expect_losses(contacts, np.where(single, taken, np.nan), variances, across, is_wall)
+        far = np.abs(taken - each) > most_sigma * np.hypot(error, np.sqrt(variances))
+        taken = np.where(far & ~find_measured(contacts), np.nan, taken)
+        for row, kind in enumerate((~is_wall, is_wall)):
+            known = kind & np.isfinite(each)
+            share = np.where(lone, 0.75, 1.0)[known]  # of a pair, whose other ball may have a kink of its own
+            expected[row] = np.bincount(label[known], share * each[known], groups)
+            std[row] = np.sqrt(np.bincount(label[known], (share * np.hypot(each, error)[known]) ** 2, groups))
+    loss, variance, effects = np.full(groups, np.nan), np.zeros(groups), np.zeros((groups, 2))
+    loss[label[single]], variance[label[single]] = taken[single], variances[single]
+    effects[label[single]] = common[single]
+    balance, whole = _balance_groups(label, groups, bodies, paths, noise)
+    balance[0][np.bincount(label[lone], minlength=groups) > 0] = np.nan  # another ball has a part of the energy
+    far = np.abs(balance[0] - expected.sum(axis=0)) > most_sigma * np.sqrt((std**2).sum(axis=0) + balance[1])
+    joined = np.bincount(label, minlength=groups) > 1
+    loss[joined], variance[joined] = np.where(far, np.nan, balance[0])[joined], balance[1][joined]
+    disturbed = ~np.isfinite(loss) & whole & expected.any(axis=0)
+    loss[disturbed], variance[disturbed] = expected.sum(axis=0)[disturbed], (std**2).sum(axis=0)[disturbed]
+    effects[disturbed, 0] = COMMON_ERROR_OF_EXPECTED * loss[disturbed]
+    numbers = np.array([np.bincount(label, kind, groups) for kind in (~is_wall, is_wall)])
+    weights = np.where(expected.any(axis=0), expected, numbers)
+    share = weights / np.maximum(weights.sum(axis=0), 1e-300)
+    share_variance = np.maximum(share.prod(axis=0), np.where(joined, HIDDEN_SHARE * (1 - HIDDEN_SHARE), 0.0))
+    return ContactGroups(
+        label,
+        loss,
+        variance,
+        effects,
+        expected,
+        std,
+        share,
+        share_variance,
+        np.bincount(label, bodies, groups).astype(np.int64),
+    )
+
+
+def _balance_groups(
+    label: Ints, groups: int, bodies: Ints, paths: Sequence[FreePath], noise: float
+) -> tuple[tuple[Array, Array], Flags]:
+    """What the balls of each group of contacts lose in all, without the plate's part, with its variance.
+
+    NaN where a ball has no velocity before or after. Also returns where all balls have a path before and after.
+    """
+    ends, sums = np.zeros((len(label), 2), dtype=np.int64), np.zeros((2, groups))
+    for path in paths:
+        value, error = measure_energies(path.velocities.take(slice(-2, None)), noise)
+        error = error + 2 * np.maximum(value, 0) * path.unsure[-2:] ** 2
+        for row, after, k in ((path.start, 1, 0), (path.end, 0, 1)):
+            if row >= 0:
+                ends[row, after] += 1
+                if not lies_within_group(path):
+                    sums[:, label[row]] += (-value[k] if after else value[k]), error[k]
+        if lies_within_group(path):
+            speed = np.sqrt(2 * max(float(np.nanmax(value, initial=0.0)), 0.0))
+            most = USUAL_FRICTION * (path.end_time - path.start_time) * speed  # to the plate
+            sums[:, label[path.start]] += 0.0, most**2 / 3
+    whole = np.ones(groups, dtype=bool)
+    np.logical_and.at(whole, label, (ends == bodies[:, None]).all(axis=1))
+    return (np.where(whole, sums[0], np.nan), sums[1]), whole
