@@ -88,6 +88,10 @@ class RollingMotion:
     area_drag: Array
     area_decel: Array
 
+    def take(self, rows: slice) -> RollingMotion:
+        """The same at some of the times."""
+        return RollingMotion(*(each[rows] for each in vars(self).values()))
+
 
 def roll_freely(speed: float | Array, drag: float, decel: float, t: Array) -> RollingMotion:
     """Roll in the tracker's model under a = -(drag v + decel) until the ball stops; drag = 0 is no special case.
@@ -187,35 +191,52 @@ def _areas(free: Array, second: Ints, since: Array) -> tuple[Array, Array]:
 
     second (n,): 1 for ball 2, else 0.
     """
-    area, slope = np.zeros((len(since), 2)), np.zeros((len(FREE), len(since), 2))
     came = since < 0
-    moved = came if free[-2] or free[-1] else came & (second > 0)
-    for rows, displace in ((np.flatnonzero(moved), _approach), (np.flatnonzero(~came), _departure)):
-        if len(rows):
-            area[rows], slope[:, rows] = displace(free, second[rows], since[rows])
+    rows = np.flatnonzero(came if free[-2] or free[-1] else came & (second > 0))
+    own, before = second[rows], since[rows]
+    launch = free[-2:] + free[5] * np.array([np.cos(free[3]), np.sin(free[3])])
+    speed, along = (x[own] for x in _polar(np.stack([free[-2:], launch])))
+    final, final_along = (x[second] for x in _polar(np.stack([free[at + 2 : at + 4] for at in AFTER.values()])))
+    after = np.maximum(since, 0.0)  # before the contact, nothing follows from the motion after it
+    tau = np.exp(free[[at + 4 for at in AFTER.values()]])[second]
+    slide = np.minimum(after, tau)
+    # at once: most of the time is that of numpy's calls
+    roll = roll_freely(np.append(speed, final), free[6], free[7], np.append(before, after - slide))
+    area, slope = _departure(
+        free, second, (tau, slide, after - slide), roll.take(slice(len(rows), None)), final, final_along
+    )
+    if len(rows):
+        area[rows], by = _approach(free, own, before, roll.take(slice(len(rows))), speed, along)
+        for parameter, part in by.items():
+            slope[parameter, rows] = part
     return area, slope
 
 
-def _approach(free: Array, second: Ints, s: Array) -> tuple[Array, Array]:
-    """Balls rolling up to the contact, or ball 2 sliding up to it."""
-    heading, v0, drag, decel = free[[3, 5, 6, 7]]
+def _approach(
+    free: Array, second: Ints, s: Array, roll: RollingMotion, speed: Array, along: Array
+) -> tuple[Array, dict[int, Array]]:
+    """Balls rolling up to the contact, or ball 2 sliding up to it; derivatives (n, 2) by the number of a parameter."""
+    heading, v0 = free[3], free[5]
     d = np.array([np.cos(heading), np.sin(heading)])
-    speed, along = _polar(np.stack([free[-2:], free[-2:] + v0 * d]))
-    speed, along = speed[second], along[second]
-    roll = roll_freely(speed, drag, decel, s)
-    part = np.zeros((len(FREE), len(s), 2))
-    part[0] = -roll.distance[:, None] * along
-    part[6] = roll.area_drag[:, None] * along
-    part[7] = roll.area_decel[:, None] * along
-    part[-2:] = _by_velocity(roll, speed, along)
-    launched = part[-2:] * second[:, None]
-    part[3] = v0 * (launched[1] * d[0] - launched[0] * d[1])
-    part[5] = launched[0] * d[0] + launched[1] * d[1]
     area = roll.area[:, None] * along
+    by_wx, by_wy = _by_velocity(roll, speed, along)
+    launched_x, launched_y = by_wx * second[:, None], by_wy * second[:, None]
+    by = {
+        0: -roll.distance[:, None] * along,
+        3: v0 * (launched_y * d[0] - launched_x * d[1]),
+        5: launched_x * d[0] + launched_y * d[1],
+        6: roll.area_drag[:, None] * along,
+        7: roll.area_decel[:, None] * along,
+        len(FREE) - 2: by_wx,
+        len(FREE) - 1: by_wy,
+    }
     if free[_SLIDING] or free[_SLIDING + 1]:
         rows = np.flatnonzero(second)
-        area[rows], part[:, rows] = _sliding_approach(free, s[rows])
-    return area, part
+        area[rows], part = _sliding_approach(free, s[rows])
+        by |= {parameter: np.zeros_like(area) for parameter in (_SLIDING, _SLIDING + 1)}
+        for parameter, value in by.items():
+            value[rows] = part[parameter]
+    return area, by
 
 
 def _sliding_approach(free: Array, s: Array) -> tuple[Array, Array]:
@@ -252,16 +273,13 @@ def _by_velocity(roll: RollingMotion, speed: Array, along: Array) -> Array:
     return out
 
 
-def _departure(free: Array, second: Ints, s: Array) -> tuple[Array, Array]:
-    """Balls sliding, then rolling, after the contact."""
-    own = np.stack([free[at : at + 5] for at in (AFTER[1], AFTER[2])])
-    speed, along = (x[second] for x in _polar(own[:, 2:4]))
-    tau = np.exp(own[:, 4])[second]
-    v, change = own[second, :2], (own[:, 2:4] - own[:, :2])[second]
-    slide = np.minimum(s, tau)
-    roll_time = s - slide
-    roll = roll_freely(speed, free[6], free[7], roll_time)
-
+def _departure(
+    free: Array, second: Ints, times: tuple[Array, Array, Array], roll: RollingMotion, speed: Array, along: Array
+) -> tuple[Array, Array]:
+    """Balls sliding, then rolling, after the contact; times (n,): of the whole slide, and of sliding and rolling."""
+    tau, slide, roll_time = times
+    own = np.stack([free[at : at + 4] for at in AFTER.values()])
+    v, change = own[second, :2], (own[:, 2:] - own[:, :2])[second]
     square = slide * slide
     both = square / 2 + slide * roll_time  # weight of the velocity a ball keeps throughout
     gain = square * (slide / 6 + roll_time / 2) / tau  # weight of the change from v to its final one
@@ -272,11 +290,11 @@ def _departure(free: Array, second: Ints, s: Array) -> tuple[Array, Array]:
     by_final[1, :, 1] += gain
     late = np.where(roll_time > 0, tau * (roll_time / 2 - tau / 6), -square * slide / (6 * tau))
     by_tau = (tau * roll_time)[:, None] * v + late[:, None] * change - (tau * roll.distance)[:, None] * along
-    part = np.zeros((len(FREE), len(s), 2))
+    part = np.zeros((len(FREE), len(slide), 2))
     part[0] = -slide[:, None] * v - (square / (2 * tau))[:, None] * change - roll.distance[:, None] * along
     part[6] = roll.area_drag[:, None] * along
     part[7] = roll.area_decel[:, None] * along
-    for ball, at in enumerate((AFTER[1], AFTER[2])):
+    for ball, at in enumerate(AFTER.values()):
         own_rows = (second == ball).astype(np.float64)
         part[at, :, 0] = part[at + 1, :, 1] = (both - gain) * own_rows
         np.multiply(by_final, own_rows[:, None], out=part[at + 2 : at + 4])
