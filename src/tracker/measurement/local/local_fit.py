@@ -297,7 +297,7 @@ def _stays_unlikely(one: LocalSolution, best: LocalSolution, sizes: Sequence[flo
     """
     shrinks = [(old / new) ** 2 for old, new in zip(one.sizes, sizes, strict=True)]
     least, most = 0.9 * min(1.0, *shrinks) * one.cost, max(1.0, *shrinks) * best.cost  # descents are rough
-    volumes = [each.log_volume - each.problem.log_width for each in (one, best)]
+    volumes = [each.log_evidence + each.cost / 2 for each in (one, best)]
     widens = one.problem.size * float(np.log(max(1.0, *shrinks) / min(1.0, *shrinks))) / 2
     return volumes[0] - volumes[1] + widens - (least - most) / 2 < -MAX_EVIDENCE_LOST
 
@@ -410,9 +410,6 @@ def _solve_with_durations(
     [found] = yield [
         Descent(problems, np.array(starts), parts[0][1].sizes, steps=8, hopeless=1.5 * MAX_COST, least_gain=3e-3)
     ]
-    if k in parts[0][1].problem.slips:  # a slip has two components, so that a small one is unlikely
-        at = parts[0][1].problem.start[k]
-        logs = [log + 2 * float(one.x[5] + one.x[at + 4] + one.x[at + 6]) for log, one in zip(logs, found, strict=True)]
     return list(zip(logs, found, strict=True))
 
 

@@ -207,6 +207,26 @@ class LocalProblem:
                 matrix[i, j] = factor / error
         return np.array([value / error if by else 0.0 for value, error, by in rows]), matrix
 
+    def find_log_density_of_slips(self, x: Array) -> float:
+        """Find the logarithm of the prior density of slips that are known, over what `log_width` and the cost hold.
+
+        The prior of a slip u is normal in both components of u; the fit has the logarithm of its duration and its
+        direction instead, so that the density has a factor u^2. It also stands in place of the usual prior of the
+        duration. Durations that are assumed one by one have an even prior of their logarithm, besides.
+        """
+        log, priors = 0.0, self.priors
+        for k in self.slips:
+            at = self.start[k]
+            log += 2 * float(np.log(3.5 * GRAVITY) + x[5] + x[at + 4] + x[at + 6])
+            if k in self.slides:
+                log -= float(np.log(2 * np.pi)) / 2
+            else:
+                away = (float(x[at + 6]) - float(np.log(priors.slide_s))) / priors.slide_factor
+                log += float(np.log(priors.slide_factor)) + away**2 / 2
+        if self.slips and priors.slips is not None:
+            log += float(np.linalg.slogdet(priors.slips.whiten)[1])
+        return log
+
     @cached_property
     def log_width(self) -> float:
         """Logarithm of the volume of what is known of the motions, any direction of a slide before the contact."""
@@ -280,7 +300,8 @@ class LocalSolution:
     @property
     def log_evidence(self) -> float:
         """Logarithm of the probability of the positions by the motions of the problem, but for a constant."""
-        return self.log_volume - self.cost / 2 - self.problem.log_width
+        density = self.problem.find_log_density_of_slips(self.x)
+        return self.log_volume - self.cost / 2 - self.problem.log_width + density
 
     @property
     def cost_with_price(self) -> float:

@@ -21,7 +21,7 @@ from tracker.measurement.local.local_fit import (
     shows_end,
     weigh_by_residuals,
 )
-from tracker.measurement.local.local_problem import KnownEnd, LocalPriors, LocalProblem
+from tracker.measurement.local.local_problem import KnownEnd, KnownSlips, LocalPriors, LocalProblem
 from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Stretch
 
 NOISE = 1e-6
@@ -154,6 +154,27 @@ def test_an_end_of_a_slide_that_is_not_seen_leaves_the_velocity_known(slide_s, s
     assert sum(weight for weight, _ in mixture) == pytest.approx(1)
     speeds = np.array([one.problem.values(one.x, 2)[2] for _, one in mixture])
     assert speeds == pytest.approx(0.9, abs=1e-3)
+
+
+@pytest.mark.parametrize("k", [2, 3])
+def test_evidence_of_known_slips_does_not_depend_on_whether_the_end_of_a_slide_shows(k):
+    """One fit of the duration has the evidence of all durations one by one. Motions are chosen by that."""
+    before, time, diameter, decel, share = np.arange(-40, 0) * 4e-3, np.arange(1, 51) * 4e-3, 0.05, 3.2, 0.3
+    lasts = [2 * (0.9 + share) / 7 / decel, 2 * (0.9 - share) / 7 / decel]
+    stretches = (
+        make_stretch(np.zeros((40, 2)), before, 1, after=False),
+        make_stretch(np.outer(before, [1.0, 0.0]) - [diameter, 0], before, 2, ball=2, after=False),
+        make_stretch(slide_path(time, 0.9, decel, lasts[0]), time, 3),
+        make_stretch(slide_path(time, 0.1, -decel, lasts[1]) - [diameter, 0], time, 4, ball=2),
+    )
+    slips = np.array([[0.9 + share, 0.0], [share - 0.9, 0.0]])
+    known = KnownSlips(slips, np.zeros((2, 2)), (0.0, 0.0), np.array([1.0, 0.0]), share, 0.02, 0.02)
+    [one] = run_alone(fit_motions(stretches, 0.0, True, (False,), LocalPriors(diameter, slips=known)))
+    assert one.problem.slips == (2, 3)
+    assert shows_end(one, k)
+    parts = run_alone(local_fit._vary_each_slide([(0.0, one)], k, 6, may_slide_on=False))
+    apart = np.array([local_fit._log_weight(part) for part in parts])
+    assert np.logaddexp.reduce(apart) == pytest.approx(one.log_evidence, abs=0.4)
 
 
 def test_a_duration_of_a_slide_starts_next_to_that_of_the_free_fit():
