@@ -122,9 +122,12 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
     clipped = np.clip(ratio, 0.01, 100)
     unequal = ~known & (np.abs(np.log(clipped)) > np.maximum(5 * std / clipped, 0.02))
     if unequal.any():
+        least, most = ratio[unequal].min(), ratio[unequal].max()
+        between = f"ratios from {least:.3g} to {most:.3g}"
+        one = f"a ratio of {np.median(ratio[unequal]):.3g} (median)"
         texts.append(
-            f"masses: recoil contradicts equal masses in {_count(int(unequal.sum()))}, with a ratio of"
-            f" {np.median(ratio[unequal]):.3g} (median). Either the masses differ, and ball_masses in the camera file"
+            f"masses: recoil contradicts equal masses in {_count(int(unequal.sum()))}, with"
+            f" {between if most > 1.5 * least else one}. Either the masses differ, and ball_masses in the camera file"
             " gives them, or a ball lifts off or hits something else. Energies are those of equal masses"
         )
     # effects of the camera may name it too

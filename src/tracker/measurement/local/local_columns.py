@@ -226,11 +226,15 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> Loca
     standard errors. Otherwise wrong masses would look like errors of velocities.
 
     Contacts of a crowd that no free motion describes are left out: a third body may have hit one of both.
+
+    The balances say nothing if masses are not given and differ from hit to hit (`_is_of_many_masses`).
     """
     usable = [row for row in rows if is_known(row, "r_local") and not _is_disturbed(row)]
     if len(usable) < min_hits:
         return None
     found = [json.loads(row["local"]) for row in usable]
+    if _is_of_many_masses(usable, found):
+        return None
     balances, by_mass = _Balances.of(found)
     recoil = _recoil_by_mass(usable, found, by_mass)
     levers = np.column_stack([[raw["vn"] for raw in found], *recoil])
@@ -255,6 +259,34 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> Loca
         half = float(np.clip(-best[1] / 2, -0.99, 0.99))  # the balance goes as tanh(log_ratio / 2)
         errors = replace(errors, log_ratio=2 * np.arctanh(half), log_ratio_std=float(doubt[1]) / (1 - half**2))
     return errors
+
+
+def _is_of_many_masses(
+    rows: Sequence[Mapping[str, Any]],
+    found: Sequence[Mapping[str, Any]],
+    *,
+    sigma: float = 5.0,
+    least: float = 0.2,
+    share: float = 0.25,
+) -> bool:
+    """Tell if recoil shows masses that differ from hit to hit, and the camera files give none.
+
+    In more than `share` of the hits the logarithm of the mass ratio must be off the median by so many errors, and by
+    more than `least`. A fit to the balances would take the masses for errors of velocities, and lose all estimates.
+    """
+    if any(raw["masses_known"] for raw in found) or any(row.get("status") == CROWD for row in rows):
+        return False
+    at, prior = LOCAL_NAMES.index("mass_ratio"), LocalErrors()
+    sizes = np.tile([prior.error_n, prior.error_t], 4)
+    values, errors = np.ones(len(rows)), np.full(len(rows), np.inf)
+    for k, raw in enumerate(found):
+        value, std = (np.array(raw[key], dtype=np.float64)[at] for key in ("value", "std"))
+        pushed = np.array(raw["response"], dtype=np.float64)[at, :8] * raw["v0"] * sizes
+        if value > 0 and np.isfinite(wide := np.hypot(std, np.linalg.norm(pushed))):
+            values[k], errors[k] = value, wide / value
+    logs = np.log(values) * [_role(row) for row in rows]
+    off = np.abs(logs - np.median(logs))
+    return bool(np.mean(off > np.maximum(sigma * errors, least)) > share)
 
 
 def _is_disturbed(row: Mapping[str, Any]) -> bool:
