@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import chdtr, chdtri
 
 from synthcam_shared.arrays import Array, Flags, Ints
-from tracker.measurement.noise.whitening import position_covariance
+from tracker.measurement.noise.whitening import covariance_of_windows
 
 WINDOW_FRAMES, POLYNOMIAL_ORDER = 7, 3  # consecutive frames, order of the polynomial
 DOF_PER_AXIS = WINDOW_FRAMES - POLYNOMIAL_ORDER - 1  # degrees of freedom per axis
@@ -128,11 +128,9 @@ def _spread(course: BallNoise, windows: slice, over: Array) -> Array:
     out = np.zeros((k, 2, DOF_PER_AXIS, 2, DOF_PER_AXIS))
     if course.fixed.any() and course.width > 0:
         position, cov, fixed = course.position[rows], course.cov[rows], course.fixed[rows]
-        n = len(position)
-        full = position_covariance(position, cov, fixed, course.width, course.drifts).reshape(n, 2, n, 2)
-        each = np.arange(k)[:, None] + np.arange(WINDOW_FRAMES)
-        blocks = full[each[:, :, None], :, each[:, None, :], :]  # (k, WINDOW_FRAMES, WINDOW_FRAMES, 2, 2)
-        out += np.einsum("ia,kijxy,jb->kxayb", over, blocks, over)
+        blocks = covariance_of_windows(position, cov, fixed, course.width, course.drifts, WINDOW_FRAMES)
+        half = (over.T @ blocks.reshape(k, WINDOW_FRAMES, -1)).reshape(k, DOF_PER_AXIS, WINDOW_FRAMES, 4)
+        out += (over.T @ half).reshape(k, DOF_PER_AXIS, DOF_PER_AXIS, 2, 2).transpose(0, 3, 1, 4, 2)
     else:
         own = np.lib.stride_tricks.sliding_window_view(course.cov[rows], WINDOW_FRAMES, axis=0)  # (k, 2, 2, frames)
         out += np.einsum("ia,kxyi,ib->kxayb", over, own, over)

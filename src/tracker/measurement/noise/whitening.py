@@ -10,7 +10,7 @@ is described by a first-order autoregression.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -81,31 +81,68 @@ def position_covariance(
     if drifts:
         own = sum(size**2 for size, _ in drifts) * np.eye(2)
         whole = position_covariance(position, cov - own, fixed - own, width).reshape(n, 2, n, 2)
-        way = np.sqrt(3) * np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
-        for rms, length in drifts:
-            apart = way / length
-            # Matern's kernel (order 3/2), of a shift that changes smoothly
-            near = rms**2 * (1 + apart) * np.exp(-apart)
-            for axis in (0, 1):
-                whole[:, axis, :, axis] += near
+        near = _correlate_drifts(position[:, None] - position[None], drifts)
+        for axis in (0, 1):
+            whole[:, axis, :, axis] += near
         return whole.reshape(2 * n, 2 * n)
-    each_root = inverse_roots(cov)
-    most = np.linalg.eigvalsh(each_root @ fixed @ np.swapaxes(each_root, 1, 2))[:, -1]
-    # each frame keeps a thousandth of its variance for itself, so that the matrix stays regular
-    fixed = fixed * np.minimum(1.0, (1 - 1e-3) / np.maximum(most, 1e-300))[:, None, None]
-    size, axes = np.linalg.eigh(fixed)
-    root = axes * np.sqrt(np.maximum(size, 0.0))[:, None, :] @ np.swapaxes(axes, 1, 2)
-    apart = (position[:, None] - position[None]) / width
-    near = np.exp(-(apart**2).sum(-1) / 4)
+    fixed, root = _find_roots_of_fixed(cov, fixed)
     kernel = np.empty((n, 2, n, 2))
-    for axis in (0, 1):
-        kernel[:, axis, :, axis] = near * (1 - apart[..., axis] ** 2 / 2)
-    kernel[:, 0, :, 1] = kernel[:, 1, :, 0] = near * apart[..., 0] * apart[..., 1] / -2
+    _correlate_shifts((position[:, None] - position[None]) / width, kernel.transpose(0, 2, 1, 3))
     half = (root @ kernel.reshape(n, 2, 2 * n)).reshape(2 * n, n, 2)
     shared = (root @ half.transpose(1, 2, 0)).reshape(2 * n, 2 * n)  # both symmetric: so is the transpose
     each = np.arange(n)
     shared.reshape(n, 2, n, 2)[each, :, each, :] += cov - fixed
     return np.asarray(shared, dtype=np.float64)
+
+
+def covariance_of_windows(
+    position: Array, cov: Array, fixed: Array, width: float, drifts: Sequence[tuple[float, float]], length: int
+) -> Array:
+    """The blocks (k, length, length, 2, 2) of `position_covariance` that windows of consecutive positions see."""
+    own = sum(size**2 for size, _ in drifts) * np.eye(2)
+    fixed, root = _find_roots_of_fixed(cov - own, fixed - own)
+    first, lags = np.arange(len(position)), range(length)
+    second = np.minimum(first[:, None] + lags, len(position) - 1)
+    apart, band = position[second] - position[:, None], np.empty((len(position), length, 2, 2))
+    _correlate_shifts(apart / width, band)
+    band = root[:, None] @ band @ root[second]  # of a position and those after it
+    band[:, 0] += cov - own - fixed
+    band += _correlate_drifts(apart, drifts)[..., None, None] * np.eye(2)
+    count = len(position) - length + 1
+    out = np.empty((count, length, length, 2, 2))
+    for i, lag in product(lags, lags):
+        if i + lag < length:
+            out[:, i, i + lag] = band[i : i + count, lag]
+            out[:, i + lag, i] = np.swapaxes(band[i : i + count, lag], 1, 2)
+    return out
+
+
+def _find_roots_of_fixed(cov: Array, fixed: Array) -> tuple[Array, Array]:
+    """The part of covariances (n, 2, 2) that lasts, a thousandth less than the whole at most, and its square roots.
+
+    Each frame so keeps a thousandth of its variance for itself, and the matrix of all stays regular.
+    """
+    each_root = inverse_roots(cov)
+    most = np.linalg.eigvalsh(each_root @ fixed @ np.swapaxes(each_root, 1, 2))[:, -1]
+    fixed = fixed * np.minimum(1.0, (1 - 1e-3) / np.maximum(most, 1e-300))[:, None, None]
+    size, axes = np.linalg.eigh(fixed)
+    return fixed, axes * np.sqrt(np.maximum(size, 0.0))[:, None, :] @ np.swapaxes(axes, 1, 2)
+
+
+def _correlate_shifts(apart: Array, out: Array) -> None:
+    """Compute the correlation (..., 2, 2) of shifts by a pixel pattern, of positions `apart` (..., 2) widths."""
+    near = np.exp(-(apart**2).sum(-1) / 4)
+    for axis in (0, 1):
+        out[..., axis, axis] = near * (1 - apart[..., axis] ** 2 / 2)
+    out[..., 0, 1] = out[..., 1, 0] = near * apart[..., 0] * apart[..., 1] / -2
+
+
+def _correlate_drifts(apart: Array, drifts: Sequence[tuple[float, float]]) -> Array:
+    """Covariance (...) along either axis, m^2, of drifts at positions `apart` (..., 2), m: Matern's kernel (3/2)."""
+    way, near = np.sqrt(3) * np.hypot(apart[..., 0], apart[..., 1]), np.zeros(apart.shape[:-1])
+    for rms, length in drifts:
+        near += rms**2 * (1 + way / length) * np.exp(-way / length)
+    return near
 
 
 def _lower_root(cov: Array) -> Array:

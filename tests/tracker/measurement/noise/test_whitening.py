@@ -11,7 +11,7 @@ from tracker.detection.glints import SHADED_POSITION_ERROR_RADII, PositionFlag
 from tracker.measurement.collision.contacts import _shorten_rest
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import measure
-from tracker.measurement.noise.whitening import PositionWhitener, position_covariance
+from tracker.measurement.noise.whitening import PositionWhitener, covariance_of_windows, position_covariance
 from tracker.measurement.positions import BallTrack
 
 SIGMA = 1.25
@@ -33,6 +33,21 @@ def test_shared_errors_are_those_of_a_random_pattern():
     fixed = np.tile(np.eye(2) * 0.3, (5, 1, 1))
     mine = position_covariance(positions, fixed + np.eye(2), fixed, SIGMA) - np.kron(np.eye(5), np.eye(2))
     np.testing.assert_allclose(mine, 0.3 * product / product[0, 0], atol=1e-3)
+
+
+@pytest.mark.parametrize("drifts", [(), ((2e-6, 0.01), (1e-6, 0.1))])
+def test_windows_have_the_blocks_of_the_whole_covariance(drifts):
+    """Of a ball whose error from the pixels is larger along x, at unequal steps."""
+    rng, n, length = np.random.default_rng(5), 20, 7
+    position = np.cumsum(rng.uniform(0, 1.5e-4, (n, 2)), axis=0)
+    lasting = sum(size**2 for size, _ in drifts) * np.eye(2)
+    fixed = lasting + np.array([[4e-12, 1e-12], [1e-12, 2e-12]])
+    cov = fixed + rng.uniform(1, 3, (n, 1, 1)) * np.eye(2) * 1e-12
+    fixed = np.tile(fixed, (n, 1, 1))
+    whole = position_covariance(position, cov, fixed, 1e-4, drifts).reshape(n, 2, n, 2)
+    blocks = covariance_of_windows(position, cov, fixed, 1e-4, drifts, length)
+    expected = [whole[k : k + length, :, k : k + length].transpose(0, 2, 1, 3) for k in range(n - length + 1)]
+    assert blocks == pytest.approx(np.array(expected), rel=1e-12, abs=1e-12 * whole.max())
 
 
 def test_whitening_leaves_unit_errors():
