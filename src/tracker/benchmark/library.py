@@ -83,8 +83,8 @@ class TrackerRun:
     @cached_property
     def crowds(self) -> pd.DataFrame:
         """Scores of films of crowds, a row for each; docs/benchmark.md describes the columns. Empty without crowds."""
-        found = self.entry.get("crowds", {})
-        return pd.DataFrame.from_dict(dict(found), orient="index", dtype=float).rename_axis("part")
+        found = {part: scores for part, scores in self.entry.get("crowds", {}).items() if scores}
+        return pd.DataFrame.from_dict(found, orient="index", dtype=float).rename_axis("part")
 
     def __repr__(self) -> str:
         lost = self.table["found"] < 1

@@ -102,11 +102,21 @@ def estimate_pixel_noise(sample: list[NDArray[Any]]) -> float:
 
 
 def estimate_noise_at_rest(change: NDArray[np.float32]) -> float:
-    """Estimate the noise of a plate whose pixels rest: their change between frames in which no ball moves there."""
-    spread = float(np.std(change))
-    for _ in range(4):
-        kept = change[np.abs(change) <= 4.0 * spread + 1.0]
-        spread = float(np.std(kept)) if kept.size else 0.0
+    """Estimate the noise of a plate whose pixels rest: their change between frames in which no ball moves there.
+
+    Bodies that cover a tenth of the picture change so many pixels that their changes pass for noise. The median of all
+    changes then shows how much a pixel of the plate changes.
+    """
+    max_over_median = 4.0  # of the spread; an encoder changes some pixels more than others, but not so much
+    spread, size = float(np.std(change)), np.abs(change)
+    typical = max(1.4826 * float(np.median(size)), 1.0) if size.size else 0.0
+    for start in (spread, typical):
+        spread = start
+        for _ in range(4):
+            kept = change[size <= 4.0 * spread + 1.0]
+            spread = float(np.std(kept)) if kept.size else 0.0
+        if spread <= max_over_median * typical:
+            break
     return spread
 
 

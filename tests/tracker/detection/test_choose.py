@@ -9,6 +9,7 @@ from tracker_film import expose, spot
 import tracker
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
+from tracker.detection.candidates import estimate_pixel_noise
 from tracker.detection.choose import choose_detector
 
 BARE = Camera.unknown((200, 160), 8)
@@ -22,6 +23,27 @@ def test_bright_and_dark_bodies_are_discs(camera, ball, level):
     name, why = choose_detector(wrap_frames(pictures), camera)
     assert name == "discs"
     assert "bodies of 19 px" in why
+
+
+@pytest.mark.parametrize("ball", [210.0, 25.0])
+def test_bodies_that_cover_a_tenth_of_the_picture_are_not_taken_for_noise(ball):
+    """Twelve discs move by more than their size between the frames of the sample, so every fifth pixel changes."""
+    rng, frames = np.random.default_rng(6), []
+    middles = np.array([(25 + 50 * i, 27 + 53 * k) for i in range(4) for k in range(3)])
+    phases = rng.uniform(0, 2 * np.pi, len(middles))
+    for k in range(40):
+        angle = phases + 0.9 * k
+        centres = middles + 14 * np.column_stack([np.cos(angle), np.sin(angle)])
+        picture = np.full((160, 200), 110.0)
+        for x, y in centres:
+            away = np.hypot(*np.ogrid[-y : 160 - y, -x : 200 - x])
+            picture += (ball - 110) * np.clip(10.5 - away, 0, 1)
+        frames.append(np.clip(np.rint(picture + 2 * rng.standard_normal(picture.shape)), 0, 255).astype(np.uint8))
+    sample = [frames[k] for k in range(0, 40, 5)]
+    assert estimate_pixel_noise(sample) == pytest.approx(2.0, rel=0.1)
+    name, why = choose_detector(wrap_frames(np.array(frames)), BARE)
+    assert name == "discs"
+    assert "bodies of 20 px" in why
 
 
 @pytest.mark.parametrize("camera", [BARE, Camera.from_dict(STEEL)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ from tracker.measurement.crowd.track_contacts import NO_BALL
 from tracker.recording import Result
 from tracker.tables.rows import to_tracks
 
+SUMMARY = ("hota", "contacts_found", "temperature_error")  # what the leaderboard has of all crowds
 OF_POSITIONS = "ratio rmse_px bound_px found false hota idf1 mota swaps n missed clips".split()  # of `match_positions`
 
 
@@ -31,6 +32,14 @@ class ContactRules:
     min_kick_px: float = 0.1  # change of a ball's velocity, px a frame; no tracker has to see a weaker contact
     frames_at_ends: float = 3.0  # of a film, where paths are too short for a contact
     max_frames_to_position: int = 10  # from a contact to the position by which its ball is known
+
+
+def judge_crowds(suite: Suite, tracked: TrackerResults) -> dict[str, dict[str, float] | None]:
+    """Score a tracker on all crowds of a suite: by part, None where it was not run; empty if it was run on none."""
+    parts = [suite.parts[name] for name in suite.definition.crowds]
+    if not any(tracked.sample.of(part) for part in parts):
+        return {}
+    return {part.name: judge_crowd(suite, tracked, part) if tracked.sample.of(part) else None for part in parts}
 
 
 def judge_crowd(suite: Suite, tracked: TrackerResults, part: SuitePart) -> dict[str, float]:
@@ -150,10 +159,16 @@ def measure_temperature_errors(result: Result, truth: pd.DataFrame) -> Array:
     return np.asarray(off[np.isfinite(off)])
 
 
-def average_crowds(crowds: Mapping[str, Mapping[str, Any]], names: Sequence[str]) -> dict[str, float | None]:
-    """Average figures over the crowds of an entry; None where it has no crowds, or no crowd has the figure."""
-    out: dict[str, float | None] = {}
-    for name in names:
-        known = [one[name] for one in crowds.values() if one.get(name) is not None]
-        out[name] = float(np.mean(known)) if known else None
-    return out
+def summarise_crowds(crowds: Mapping[str, Mapping[str, Any] | None]) -> dict[str, float | None]:
+    """Summarise the crowds of an entry; all None without crowds.
+
+    hota, contacts_found: means; a crowd without the figure counts as 0.
+    temperature_error: the median, because a few false tracks may give any temperature; a crowd without it is the worst.
+    None if that is half of them.
+    """
+    if not crowds:
+        return dict.fromkeys(SUMMARY)
+    columns = [[(one or {}).get(name) for one in crowds.values()] for name in SUMMARY]
+    hota, contacts = (float(np.mean([value or 0.0 for value in column])) for column in columns[:2])
+    error = float(np.median([np.inf if value is None else value for value in columns[2]]))
+    return dict(zip(SUMMARY, (hota, contacts, error if np.isfinite(error) else None), strict=True))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tracker.benchmark.judging.crowds import judge_crowd
+from tracker.benchmark.judging.crowds import judge_crowds
 from tracker.benchmark.judging.defects import measure_shifts_by_defects, simulate_at_bound
 from tracker.benchmark.judging.position_errors import compute_gap_curve, compute_phase_curve, match_positions
 from tracker.benchmark.judging.tracker_results import TrackerResults
@@ -27,8 +27,7 @@ def make_entry(
     defects, and crowds {part: figures} if the suite has crowds. They are plain values, None if not known.
     """
     chosen = suite.definition
-    every = {name: part for name, part in suite.parts.items() if tracked.sample.of(part)}
-    run = {name: part for name, part in every.items() if name not in chosen.crowds}
+    run = {name: part for name, part in suite.parts.items() if name not in chosen.crowds and tracked.sample.of(part)}
     held = {name: match_positions(suite, tracked, part) for name, part in run.items()}
     parts = {name: one.statistics for name, one in held.items()}
     defects: dict[str, Any] = {}
@@ -52,7 +51,7 @@ def make_entry(
         "defects": defects,
     }
     if chosen.crowds:
-        out["crowds"] = {name: judge_crowd(suite, tracked, every[name]) for name in chosen.crowds if name in every}
+        out["crowds"] = judge_crowds(suite, tracked)
     whole: dict[str, Any] = replace_non_finite(out)
     return whole
 

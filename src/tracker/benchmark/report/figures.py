@@ -200,7 +200,7 @@ def draw_crowds(entries: Entries, definition: SuiteDefinition) -> Figure:
         x = [value for value, _ in points]
         for panel, (key, word) in zip(column, measures.items(), strict=True):
             for k, entry in enumerate(entries):
-                found = [entry.get("crowds", {}).get(part, {}).get(key) for _, part in points]
+                found = [(entry.get("crowds", {}).get(part) or {}).get(key) for _, part in points]
                 y = np.array([np.nan if value is None else value for value in found], float)
                 panel.plot(x, y, label=label_tracker(entry), **_style(k))
             if key in ("ratio", "temperature_error"):

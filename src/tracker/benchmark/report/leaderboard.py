@@ -11,12 +11,11 @@ import pandas as pd
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import write_atomically
-from tracker.benchmark.judging.crowds import average_crowds
+from tracker.benchmark.judging.crowds import summarise_crowds
 from tracker.benchmark.suite.definition import DIGEST_WITHOUT_CROWDS
 from tracker.results import load_json, write_json
 
 ENTRIES = "entries"
-CROWD_COLUMNS = ("hota", "contacts_found", "temperature_error")  # means over all crowds
 Entry = Mapping[str, Any]
 Entries = Sequence[Entry]
 
@@ -64,7 +63,7 @@ def make_leaderboard_row(rank: int, one: Entry) -> dict[str, Any]:
     whole = sum(part["n"] + part["missed"] for part in parts)
     measured: Mapping[str, Any] = next(iter(one["quantities"].values()), {"r": {}}).get("r") or {}
     withheld = one["suite"]["split"] == "withheld"
-    crowds = average_crowds(one.get("crowds", {}), CROWD_COLUMNS)
+    crowds = summarise_crowds(one.get("crowds", {}))
     return {
         "rank": rank,
         "name": one["tracker"]["name"],
@@ -72,7 +71,7 @@ def make_leaderboard_row(rank: int, one: Entry) -> dict[str, Any]:
         "ratio_median": float(np.median(ratios)) if ratios else None,
         "found": sum(part["n"] for part in parts) / whole if whole else None,
         "false_per_ball": sum(part["false"] for part in parts) / whole if whole else None,
-        "hota": float(np.mean([part["hota"] or 0.0 for part in parts])),
+        "hota": float(np.mean([part["hota"] or 0.0 for part in parts])) if parts else None,
         **{f"crowd_{name}": value for name, value in crowds.items()},
         "ms_per_frame": one["tracker"].get("ms_per_frame"),
         "r_tied_rmse": measured.get("rmse"),

@@ -59,14 +59,11 @@ def write_report(
     """
     whose = "withheld from the authors of the trackers" if about["split"] == "withheld" else "open"
     summary = (
-        f"{definition.data['name']}, version {about['version']}: two balls collide on a plate. Each tracker gets only "
+        f"{definition.data['name']}, version {about['version']}: balls collide on a plate. Each tracker gets only "
         f"the films and the camera file. The truth is {whose}."
     )
     sections = [
-        PageSection("Error of the centre by setting", _headline(entries, definition)),
-        PageSection("Error against one property of the film", [_axes(entries, definition)]),
-        PageSection("Errors of published values", _publication_figures(entries, definition)),
-        PageSection("Effect of each defect on the physics", _defects(entries)),
+        *(_pairs(entries, definition) if definition.headline else []),
         *([PageSection("Crowds", _crowds(entries, definition))] if definition.crowds else []),
         PageSection("Leaderboard", [_leaderboard(entries)]),
         PageSection("All measures", make_benchmark_tables(entries, definition)),
@@ -74,6 +71,16 @@ def write_report(
         PageSection("Card of the suite", [_card(definition, about)]),
     ]
     return write_page(report / "index.html", "Benchmark of trackers", sections, command, [summary])
+
+
+def _pairs(entries: Entries, definition: SuiteDefinition) -> list[PageSection]:
+    """The sections on films of two balls."""
+    return [
+        PageSection("Error of the centre by setting", _headline(entries, definition)),
+        PageSection("Error against one property of the film", [_axes(entries, definition)]),
+        PageSection("Errors of published values", _publication_figures(entries, definition)),
+        PageSection("Effect of each defect on the physics", _defects(entries)),
+    ]
 
 
 def _headline(entries: Entries, definition: SuiteDefinition) -> list[Block]:
@@ -158,7 +165,7 @@ def make_crowd_tables(entries: Entries, definition: SuiteDefinition) -> list[Pag
         rows = []
         for entry in entries:
             found = entry.get("crowds", {})
-            values = (found.get(part, {}).get(key) for part in definition.crowds)
+            values = ((found.get(part) or {}).get(key) for part in definition.crowds)
             rows.append([figures.name_tracker(entry), *(format_number(value, digits) for value in values)])
         tables.append(PageTable(["tracker", *(words[part] for part in definition.crowds)], rows, title))
     return tables

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from synthcam import Scene
-from tracker.benchmark.judging.crowds import average_crowds, count_contacts, judge_crowd, list_true_contacts
+from tracker.benchmark.judging.crowds import count_contacts, judge_crowd, list_true_contacts, summarise_crowds
 from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.definition import SuitePart
 from tracker.camera.camera import Camera
@@ -86,10 +86,16 @@ def test_without_three_tracks_there_is_no_temperature_and_no_contact():
     assert np.isnan(found["temperature_error"])
     assert found["contacts_found"] == 0
     assert np.isnan(found["contacts_false"])  # none is shown
-    assert average_crowds({"one": {"hota": 0.5}, "two": {"hota": None}}, ("hota", "mota")) == {
-        "hota": 0.5,
-        "mota": None,
-    }
+
+
+def test_a_crowd_that_was_not_run_counts_as_nothing_found():
+    run = {"hota": 0.9, "contacts_found": 0.6, "temperature_error": 0.1}
+    lost = {"hota": 0.0, "contacts_found": None, "temperature_error": 80.0}
+    whole = summarise_crowds({"one": run, "two": lost, "three": run})
+    assert (whole["hota"], whole["contacts_found"], whole["temperature_error"]) == pytest.approx((0.6, 0.4, 0.1))
+    assert summarise_crowds({"one": run, "two": None, "three": None})["temperature_error"] is None
+    assert summarise_crowds({"one": run, "two": None, "three": None})["hota"] == pytest.approx(0.3)
+    assert set(summarise_crowds({}).values()) == {None}
 
 
 def test_contacts_are_counted_by_hand():
