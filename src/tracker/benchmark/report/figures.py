@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import NullFormatter
 
 from synthcam_shared.report.page import make_axes
 from tracker.benchmark.report.leaderboard import Entries, Entry
@@ -203,8 +204,11 @@ def draw_crowds(entries: Entries, definition: SuiteDefinition) -> Figure:
                 found = [(entry.get("crowds", {}).get(part) or {}).get(key) for _, part in points]
                 y = np.array([np.nan if value is None else value for value in found], float)
                 panel.plot(x, y, label=label_tracker(entry), **_style(k))
-            if key in ("ratio", "temperature_error"):
+            if low := {"ratio": 0.8, "temperature_error": 0.005}.get(key):
                 panel.set_yscale("log")
+                panel.yaxis.set_major_formatter("{x:g}")
+                panel.yaxis.set_minor_formatter(NullFormatter())
+                panel.set_ylim(low, max(15.0 * low, panel.get_ylim()[1]))
             else:
                 panel.set_ylim(-0.03, 1.05)
             if key == "ratio":
