@@ -22,10 +22,11 @@ def fit_disc_group(mask: NDArray[np.uint8], corner: tuple[int, int], radius: flo
 
     Each point of the outline belongs to the disc whose circle it is nearest to, and each circle is fitted to its
     points. The two alternate. The result is empty where the union of the discs differs too much from the region, or
-    where their convex hull, or a rectangle, is nearer to it. The claimed error is the scatter of the outline, because
-    smear shifts neighbouring points by the same.
+    where their convex hull, or a rectangle, is nearer to it. Discs have waists between them, and the streak of one
+    has none. The claimed error is the scatter of the outline, because smear shifts neighbouring points by the same.
     """
     min_overlap = 0.85  # area that the union of discs and the region share, over the area that either has
+    max_waist = 0.9  # least width over that of the region; one disc in motion has 1
     min_apart = 1.5  # between two centres, radii; encoders smear the outlines of touching discs into each other
     outline = _read_outline(mask, corner, picture)
     rows, columns = np.nonzero(mask)
@@ -35,10 +36,10 @@ def fit_disc_group(mask: NDArray[np.uint8], corner: tuple[int, int], radius: flo
     region = np.pad(mask, reach) > 0
     y, x = (np.arange(size) + first - reach for size, first in zip(region.shape, corner[::-1], strict=True))
     seen = ((y >= 0) & (y < picture[0]))[:, None] & (x >= 0) & (x < picture[1])
-    sides = np.add(cv2.minAreaRect(points.astype(np.float32))[1], 1.0)
-    of_box = len(points) / np.prod(sides)
+    of_box, waist = _measure_bar(points)
     best, shared, balls = list[DiscFit](), min_overlap, len(points) / (np.pi * radius**2)
-    for count in range(max(2, int(balls)), min(int(np.ceil(balls)), 4) + 1):
+    most = min(int(np.ceil(balls)), 4) if waist < max_waist else 0
+    for count in range(max(2, int(balls)), most + 1):
         for starts in _list_starts(some, radius, count):
             circles = _fit_circles(outline, _divide(some, starts), radius)
             centres = [centre for centre, _ in circles]
@@ -55,6 +56,22 @@ def fit_disc_group(mask: NDArray[np.uint8], corner: tuple[int, int], radius: flo
                     for centre, scatter in circles
                 ]
     return best
+
+
+def _measure_bar(points: Array) -> tuple[float, float]:
+    """The share of its bounding bar that a region covers, and its least width between the ends over that of the bar.
+
+    points: (n, 2), the pixels of the region. The bar may lie at any angle. Its ends are as long as half its width; in a
+    streak they are round. Each width is the mean over a tenth of the length. A region that is hardly longer than wide
+    is no streak, and gets 0.
+    """
+    middle, sides, degrees = cv2.minAreaRect(points.astype(np.float32))
+    width, length = sorted(np.add(sides, 1.0))
+    turn = np.deg2rad(degrees + 90 * (sides[1] > sides[0]))
+    along = (points - middle) @ [np.cos(turn), np.sin(turn)]
+    places = np.linspace(-1, 1, 15)[:, None] * (length - width) / 2
+    widths = np.clip(length / 20 + 0.5 - np.abs(along - places), 0, 1).sum(axis=1) / (length / 10)
+    return len(points) / (width * length), float(widths.min()) / width * (length > 1.3 * width)
 
 
 def _read_outline(mask: NDArray[np.uint8], corner: tuple[int, int], picture: Size) -> Array:

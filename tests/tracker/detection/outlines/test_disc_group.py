@@ -23,6 +23,12 @@ def streak(x, length):
     return np.hypot(COLUMNS - np.clip(COLUMNS, x, x + length), ROWS - 30) < 10
 
 
+def faded_streak(length, radius=10.0, least=4):
+    """The pixels that a moving disc covers for more than `least` of the `length` px that it moves."""
+    half = np.sqrt(np.clip(radius**2 - (ROWS - 30) ** 2, 0, None))
+    return np.minimum(COLUMNS + half, 50 + length / 2) - np.maximum(COLUMNS - half, 50 - length / 2) > least
+
+
 def fit(own, corner=(99, 199), picture=(1000, 1000)):
     """Centres within the region of the discs that are fitted to it."""
     found = fit_disc_group(np.pad(own.astype(np.uint8), 1), corner, 10.0, picture)
@@ -44,6 +50,7 @@ def test_touching_discs_are_found_without_a_waist(own, places):
 
 @pytest.mark.parametrize("own", [
     discs((30, 30)), discs((40, 40), radius=15), streak(30, 20), streak(30, 34),
+    faded_streak(26), faded_streak(40, radius=9.5),
     box(60, 40, 20, 10), box(60, 40, 26, 10),
     box(60, 40, 18, 18), discs((30, 40), radius=18) | discs((60, 40), radius=11), discs((30, 30), (42, 30)),
     discs(*TWO) | box(70, 30, 40, 4),  # an arm
