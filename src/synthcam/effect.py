@@ -20,9 +20,9 @@ from typing import Any, ClassVar, Self
 from synthcam_shared.errors import PluginError
 
 # Inputs hold all balls, or all nodes of an integration, at once. Numbers are arrays (balls, n) or broadcast with them.
-# Vectors have a last axis of two. The "slip" is the unit vector of the contact velocity, and "other" the position of
-# the other ball relative to this one. Ball a of the experimenter has 1 as "of_a", and ball b has 0. The "ball" is that
-# of the model, with the radius and mass before any effect.
+# Vectors have a last axis of two. The "slip" is the unit vector of the contact velocity, the "heading" that of the
+# approach, and "other" the position of the other ball relative to this one. Ball a of the experimenter has 1 as "of_a",
+# and ball b has 0. The "ball" is that of the model, with the radius and mass before any effect.
 LAWS: dict[str, tuple[str, ...]] = {
     # the balls, once a run: radius and mass of ball a
     "mass": (),
