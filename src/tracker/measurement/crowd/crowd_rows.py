@@ -131,6 +131,7 @@ def _estimate_in_steps(
         prepared = prepare_contact(ContactCandidate(one, other, frame), camera.ball_diameter, {}, own)
         if prepared.reason:
             return None, prepared.reason
+        prepared = _keep_moving(prepared, (one, other), contact)
         pair = prepared.pair
         sliding = [_still_slides(track, contact, found, settings) for _, track in pair.balls]
         members = [track.particle for _, track in pair.balls]
@@ -145,6 +146,19 @@ def _estimate_in_steps(
         return prepared, (yield from estimate_in_steps(prepared, camera, (1.0, 1.0), slips, ends, before))
     except (ArithmeticError, ValueError, IndexError) as error:  # one contact never costs the others
         return None, describe_failure(error)
+
+
+def _keep_moving(prepared: Contact, cut: Sequence[BallTrack], contact: TrackContact) -> Contact:
+    """The contact with all positions of its slower ball, if that moved before it rests; cut: tracks of both balls.
+
+    A few positions do not show how slowly a ball rolls. It rests in a crowd only if all of them since its contact
+    before show that.
+    """
+    whole = next(track for track in cut if track.particle == prepared.pair.struck.particle)
+    early = np.count_nonzero(whole.time < contact.time)
+    if prepared.pair.target_moves or np.count_nonzero(prepared.pair.struck.time < contact.time) == early:
+        return prepared
+    return replace(prepared, pair=replace(prepared.pair, struck=whole, target_moves=True))
 
 
 def _slide_duration(contact: TrackContact, settings: FitSettings, particle: int | None = None) -> float:

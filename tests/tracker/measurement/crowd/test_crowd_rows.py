@@ -1,0 +1,34 @@
+"""Which positions of the balls of a crowd count for a contact."""
+
+import numpy as np
+import pytest
+
+from tracker.measurement.collision.contacts import ContactCandidate, prepare_contact
+from tracker.measurement.crowd.crowd_rows import _keep_moving
+from tracker.measurement.crowd.track_contacts import TrackContact
+from tracker.measurement.positions import BallTrack
+from tracker.settings import FitSettings
+
+DIAMETER, NOISE, FPS, CONTACT = 0.00238, 5e-6, 1000.0, 50.3
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.004])
+def test_a_ball_that_rolls_slowly_up_to_its_contact_does_not_rest(speed):
+    """At 4 mm/s eight positions show no motion, but all fifty do."""
+    frame, rng = np.arange(100), np.random.default_rng(1)
+    since = (frame - CONTACT) / FPS
+    slow = np.where(since < 0, speed, 0.09) * since
+    fast = np.where(since < 0, 0.1, 0.01) * since - DIAMETER
+    tracks = []
+    for particle, x in enumerate((slow, fast)):
+        position = np.column_stack([x, 0 * x]) + rng.normal(0, NOISE, (100, 2))
+        cov = np.tile(np.eye(2) * NOISE**2, (100, 1, 1))
+        tracks.append(BallTrack(particle, frame, frame / FPS, position, cov, exposure=0.0))
+    prepared = prepare_contact(ContactCandidate(*tracks, round(CONTACT)), DIAMETER, {}, FitSettings())
+    assert not prepared.pair.target_moves
+    nothing, none = np.zeros(2), np.zeros((2, 2))
+    contact = TrackContact(CONTACT / FPS, 1e-5, 0, 1, nothing, nothing, 0.09, 1e-3, 99, 1, none, (0.3, 0.1), 0.1)
+    kept = _keep_moving(prepared, tracks, contact).pair
+    assert kept.target_moves == (speed > 0)
+    assert kept.struck.particle == 0
+    assert len(kept.struck) == 100
