@@ -2,7 +2,7 @@
 
 python -m benchmarks.tracker.local_estimates [--hits 200] [--seed 1] [-o out/local_estimates.json]
 
-Hits are those of four kinds:
+Hits are those of five kinds:
 
 - balls: billiard balls of 61.5 mm at 50 frames a second, noise 0.3 mm. The striker slides and then rolls, or slides
   up to the hit, by the textbook in three dimensions. r, the friction between balls, that of the cloth and the loss
@@ -14,6 +14,8 @@ Hits are those of four kinds:
   240 with loss. Errors of 0.1 px last over some frames, and those of pucks at rest hardly change. With --claimed the
   tables have a fifth of that, as of a film whose codec repeats what hardly changes.
 - dry pucks: the same, and the camera file says that they slide.
+- uneven pucks: dry pucks whose friction differs from stretch to stretch as the estimate allows: 20 % along the path,
+  10 % across it.
 
 With --warp W the positions are shifted by a smooth map of W m rms over 0.1 m, which no fit knows. With --claimed the
 tables have the true errors of positions; without it the errors come from the scatter.
@@ -30,6 +32,7 @@ import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -101,8 +104,13 @@ def draw_discs(rng: np.random.Generator) -> tuple[list[Floats], dict[str, float]
     return [target, striker], truth, camera | {"ball_masses": masses.tolist()}
 
 
-def draw_pucks(rng: np.random.Generator) -> tuple[list[Floats], dict[str, float], dict[str, Any]]:
-    """Positions (n, 2) of a resting and a striking puck, the truth, and the camera file."""
+def draw_pucks(
+    rng: np.random.Generator, scatter: tuple[float, float] = (0.0, 0.0)
+) -> tuple[list[Floats], dict[str, float], dict[str, Any]]:
+    """Positions (n, 2) of a resting and a striking puck, the truth, and the camera file.
+
+    scatter: of the friction from stretch to stretch, along and across the path, over the common one.
+    """
     fps, radius, v0, b = 240.0, 0.015, rng.uniform(0.7, 1.6), rng.uniform(-0.6, 0.6)
     r, rub, friction = rng.normal(0.88, 0.04), rng.uniform(0.0, 0.2), 9.81 * rng.uniform(0.12, 0.2)
     n = np.array([np.sqrt(1 - b**2), b])
@@ -113,8 +121,10 @@ def draw_pucks(rng: np.random.Generator) -> tuple[list[Floats], dict[str, float]
 
     def slide(v: Floats) -> Floats:
         speed = float(np.hypot(*v))
-        late = np.minimum(since, speed / friction)
-        return np.asarray((late - friction * late**2 / (2 * speed))[:, None] * v)
+        along, across = np.array([1.0, 0.0]) + (scatter * rng.normal(size=2) if any(scatter) else 0.0)
+        pull = -friction / speed * (max(along, 0.3) * v + across * np.array([-v[1], v[0]]))
+        late = np.minimum(since, speed**2 / float(-pull @ v))[:, None]
+        return np.asarray(late * v + late**2 / 2 * pull)
 
     late = (since > 0)[:, None]
     paths = np.where(late, slide(after[0]), 0.0), np.where(late, slide(after[1]), slide(before)) - 2 * radius * n
@@ -147,6 +157,7 @@ KINDS: dict[str, tuple[Callable[..., tuple[list[Floats], dict[str, float], dict[
     "discs": (draw_discs, 3e-5, "air"),
     "pucks": (draw_pucks, 1.75e-4, ""),
     "dry pucks": (draw_pucks, 1.75e-4, "sliding"),
+    "uneven pucks": (partial(draw_pucks, scatter=(0.2, 0.1)), 1.75e-4, "sliding"),
 }
 
 

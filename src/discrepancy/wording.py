@@ -91,7 +91,7 @@ def _describe_free_motion(found: SearchOutcome) -> str:
         return f"Nothing is missing{where}: model and measurement agree to within {within}.{rejected}{slow}"
     if found.verdict is Verdict.INADEQUATE:
         largest = f" The largest disagreement: {worst}." if worst else ""
-        return f"Something is missing, and no candidate passes the held-out test.{largest}{rejected}{slow}"
+        return f"Something is missing, and no candidate passes all tests.{largest}{rejected}{slow}"
     base, law = found.base_fit.model, found.law_summary
     missing = [describe_claim(c, base) for c in found.claims if not c.is_in(base)]
     wrong = [describe_claim(c, base) for c in found.claims if c.is_in(base)]

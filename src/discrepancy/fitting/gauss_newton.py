@@ -44,12 +44,7 @@ def fit_model(
 
 
 def minimise_chi2(
-    whitened: WhitenedClips,
-    fit: ModelFit,
-    rough: bool = False,
-    useful_chi2: float = np.inf,
-    max_steps: int = 40,
-    least_share: float = 0.0,
+    whitened: WhitenedClips, fit: ModelFit, rough: bool = False, useful_chi2: float = np.inf, least_share: float = 0.0
 ) -> ModelFit:
     """Minimise chi^2 of all clips by Gauss-Newton steps from a fit.
 
@@ -63,12 +58,12 @@ def minimise_chi2(
     useful_chi2: a fit with a larger chi^2 is of no use. The descent ends where a third of the way down to it is more
     than the last step gained and than the next one promises. A step that failed does not count.
 
-    max_steps: steps to try. least_share: clips above `SearchPolicy.poor_chi2_per_point` count as fitted if a step gains
+    least_share: clips above `SearchPolicy.poor_chi2_per_point` count as fitted if a step gains
     less than this share of their chi^2. They stay poor whatever the rest of the descent gains.
     """
     damping, tolerance, last, gained = 0.0, 0.1 if rough else 1e-3, False, np.inf
     held = np.zeros(len(fit.residuals))  # damping of single launches
-    for _ in range(max_steps):
+    for _ in range(40):
         try:
             values, own = _step(fit, damping, held)
         except STEP_ERRORS:

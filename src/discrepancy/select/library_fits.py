@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -26,7 +27,6 @@ State = tuple[Candidate, ...]
 Key = frozenset[Candidate]
 
 MIN_USEFUL_CHI2 = 2.0  # less is not worth another fit
-MAX_STEPS_TO_PART = 10  # of a fit, until it is as good as a model that it contains
 SCORE_ERROR_CHI2 = 15.0  # a score test is only of first order: its chi^2 may be wrong by so much
 
 
@@ -140,28 +140,25 @@ class LibraryFits:
             self.done.discard(key)
 
     def _descend(self, state: State) -> ModelFit:
-        """Minimise chi^2 of a model from its known fit, or from the best fitted model that it contains.
+        """Minimise chi^2 of a model from its known fit; if a model that it contains fits better, from that one as well.
 
-        It starts from the latter only if the first steps do not lead below chi^2 of the contained model. The known fit
-        then began where launches and other effects compensate for a strong effect that was removed.
+        The known fit may begin where launches and other effects compensate for a strong effect that was removed. From
+        there it can end at a local minimum.
         """
         key = frozenset(state)
-        parts = [known for known in self.fits if known < key]
-        part = min(parts, key=lambda known: (self.fits[known].chi2, len(known))) if parts else key
-        least = self.fits[part].chi2 + MIN_USEFUL_CHI2 if parts else math.inf
-        found = minimise_chi2(self.evidence, self.fits[key], max_steps=MAX_STEPS_TO_PART)
-        if found.chi2 <= least:
-            return minimise_chi2(self.evidence, found)
+        found = minimise_chi2(self.evidence, self.fits[key])
+        part = min((k for k in self.fits if k < key), key=lambda k: (self.fits[k].chi2, len(k)), default=key)
+        if part == key or found.chi2 <= self.fits[part].chi2 + MIN_USEFUL_CHI2:
+            return found
         added = [candidate for candidate in state if candidate not in part]
         model = self.fits[part].model.replace(
             {name: found.model.value(name) for candidate in added for name in candidate.shapes}
             | {name: self.fits[part].model.value(name) for candidate in added for name in candidate.strengths}
         )
-        try:
+        with suppress(ValueError):  # the model has no motion there
             start = linearise(self.evidence, model, found.names, self.fits[part].launches)
-        except ValueError:  # the model has no motion there
-            return minimise_chi2(self.evidence, found)
-        return minimise_chi2(self.evidence, start)
+            return min(found, minimise_chi2(self.evidence, start), key=lambda fit: fit.chi2)
+        return found
 
     def _escape_local_minimum(self, state: State, fit: ModelFit) -> ModelFit:
         """Return the fit, or a better one from other shape parameters: chi^2 may have several minima."""

@@ -10,7 +10,7 @@ from repository import ROOT
 
 import tracker
 from synthcam_shared.errors import InputError
-from tracker.benchmark import library, run
+from tracker.benchmark import TrackerRun, library, run
 
 mpl.use("Agg")
 
@@ -60,6 +60,13 @@ def test_what_finds_centres_is_compared_with_centres_and_all_else_with_glints(mo
     for detector, point in ((three, "either"), (three, "glint"), (three, "centre"), ("centroid", "centre")):
         run(detector, suite().path, point=point)
     assert seen == [("glint", "glint"), ("glint", "glint"), ("centre", "centre"), ("glint", "glint")]
+
+
+def test_the_scores_of_crowds_are_a_table_without_those_that_were_not_run():
+    table = TrackerRun({"crowds": {"dense": {"hota": 0.9, "ratio": None}, "fast": None}}, {}).crowds
+    assert table.loc["dense"].to_dict() == pytest.approx({"hota": 0.9, "ratio": np.nan}, nan_ok=True)
+    assert list(table.index) == ["dense"]
+    assert TrackerRun({}, {}).crowds.empty
 
 
 def test_what_is_no_list_of_places_is_said():

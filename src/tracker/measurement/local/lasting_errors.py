@@ -38,16 +38,17 @@ class LastingErrors:
     log_likelihood: Array
 
     @staticmethod
-    def of(residuals: Array, columns: int, count: Ints | None = None) -> LastingErrors:
+    def of(residuals: Array, columns: int, count: Ints | None = None, first: float = 1.0) -> LastingErrors:
         """The errors by residuals (n, 2), from the contact on, beside a polynomial of so many coefficients.
 
-        count: how many frames each position is the mean of (n,); one each by default.
+        count: how many frames each position is the mean of (n,); one each by default. first: how many frames after the
+        contact the first of these frames is, to a quarter.
         """
         n = len(residuals)
         if n <= columns:
             ones = np.ones(len(CORRELATIONS))
             return LastingErrors(ones, 0 * ones, ones, 0 * ones)
-        shapes = _Shapes.of((1,) * n if count is None else tuple(count.tolist()), columns)
+        shapes = _Shapes.of((1,) * n if count is None else tuple(count.tolist()), columns, round(4 * first))
         white = shapes.whitener @ residuals
         of_path = np.linalg.solve(shapes.square, np.swapaxes(shapes.white, 1, 2) @ white)
         squares = ((white - shapes.white @ of_path) ** 2).sum(axis=(1, 2))
@@ -60,16 +61,19 @@ def measure_variances(
     freedom: Sequence[float],
     columns: Sequence[int],
     counts: Sequence[Ints] | None = None,
-) -> tuple[list[float], float]:
-    """Measure the variance with which errors enter the velocity of each stretch of a hit, and its mean.
+    firsts: Sequence[float] | None = None,
+) -> tuple[list[float], float, float]:
+    """Measure the variance with which errors enter the velocity of each stretch of a hit, its mean, and their own.
 
     residuals: of each stretch, (n, 2), from the contact on. freedom: their degrees of freedom. columns: coefficients of
-    the path along an axis. counts: as in `LastingErrors.of`. The correlation is the same in all stretches. Their mean
-    counts in each stretch as `shared` degrees of freedom do. The result is the mean over the correlations.
+    the path along an axis. counts, firsts: as in `LastingErrors.of`. The correlation is the same in all stretches.
+    Their mean counts in each stretch as `shared` degrees of freedom do. The result is the mean over the correlations.
     """
     shared = 8.0
     given: Sequence[Ints | None] = counts or [None] * len(residuals)
-    errors = [LastingErrors.of(left, k, own) for left, k, own in zip(residuals, columns, given, strict=True)]
+    errors = [
+        LastingErrors.of(*each) for each in zip(residuals, columns, given, firsts or [1.0] * len(given), strict=True)
+    ]
     squares = np.array([(left**2).sum() / one.left for left, one in zip(residuals, errors, strict=True)])
     inflation, free = np.array([one.inflation for one in errors]), np.array(freedom)[:, None]
     mean = squares.sum(axis=0) / free.sum()
@@ -78,7 +82,7 @@ def measure_variances(
     known = np.array([one.freedom for one in errors]) + shared
     each *= known / (known - 2)  # the mean of a variance that is known to so many degrees of freedom
     weights = _weigh_correlations(np.sum([one.log_likelihood for one in errors], axis=0))
-    return (each @ weights).tolist(), float(usual @ weights)
+    return (each @ weights).tolist(), float(usual @ weights), float(mean @ weights)
 
 
 def _weigh_correlations(log_likelihood: Array) -> Array:
@@ -108,11 +112,11 @@ class _Shapes:
 
     @staticmethod
     @lru_cache(maxsize=64)
-    def of(count: tuple[int, ...], columns: int) -> _Shapes:
-        """Compute them for positions that are the means of so many even frames, from the contact on."""
+    def of(count: tuple[int, ...], columns: int, first: int) -> _Shapes:
+        """Compute them for means of so many even frames; the first frame is `first` quarters after the contact."""
         frames, n = np.array(count), len(count)
         cov = _correlate_means(frames)
-        since = np.cumsum(frames) - (frames - 1) / 2  # the contact is a frame before the first position
+        since = first / 4 - 1 + np.cumsum(frames) - (frames - 1) / 2
         powers = np.vander(since / since[-1], columns, increasing=True) * np.sqrt(frames)[:, None]
         basis, triangle = np.linalg.qr(powers)
         velocity = basis @ np.linalg.solve(triangle.T, np.eye(columns)[1 if columns > 1 else 0])

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from synthcam_shared.arrays import Array, Flags
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.descents import Descent, FitInSteps
 from tracker.measurement.local.lasting_errors import measure_variances
@@ -263,7 +263,7 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool) -> FitInStep
     """Solve local fits again with errors as large and as lasting as the residuals of each stretch; best first.
 
     known: errors are claimed, and are never smaller than that. A body at rest takes the mean of all stretches, because
-    recorders round or drop its positions.
+    recorders round or drop its positions. If these count as one, it is that of a single position.
     """
     solution = found[0]
     if known and solution.is_good:
@@ -273,16 +273,19 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool) -> FitInStep
     lefts, frees, counts = (np.split(v, ends) for v in (solution.residual, solution.freedom, problem.counted))
     moving = [k for k, motion in enumerate(problem.motions) if motion.moves]
     from_contact = [slice(None, None, 1 if s.after else -1) for s in problem.stretches]
+    fars, orders = [problem.stretches[k].far for k in moving], [from_contact[k] for k in moving]
     free = [max(float(frees[k][counts[k]].sum()), 0.5) for k in moving]
-    own, usual = measure_variances(
+    own, usual, single = measure_variances(
         [lefts[k][counts[k]].reshape(-1, 2)[from_contact[k]] for k in moving],
         free,
         # coefficients of the path along an axis that the positions determine
         [max(round((float(counts[k].sum()) - f) / 2), 2) for k, f in zip(moving, free, strict=True)],
-        [problem.stretches[k].far.count[from_contact[k]] for k in moving],
+        [far.count[own] for far, own in zip(fars, orders, strict=True)],
+        [_count_frames(far.time[own], far.count[own], solution.x[0]) for far, own in zip(fars, orders, strict=True)],
     )
     found_squares, least = dict(zip(moving, own, strict=True)), 1.0 if known else 1e-12
-    sizes = [size * float(np.sqrt(max(found_squares.get(k, usual), least))) for k, size in enumerate(solution.sizes)]
+    at_rest = single if problem.priors.dry else usual
+    sizes = [size * float(np.sqrt(max(found_squares.get(k, at_rest), least))) for k, size in enumerate(solution.sizes)]
     likely = [one for one in found if one is solution or not _stays_unlikely(one, solution, sizes)]
     again = yield [Descent([one.problem], one.x[None], sizes, least_gain=ROUGH_GAIN) for one in likely]
     unlikely = [one for one in found if not any(one is other for other in likely)]
@@ -300,6 +303,18 @@ def _stays_unlikely(one: LocalSolution, best: LocalSolution, sizes: Sequence[flo
     volumes = [each.log_evidence + each.cost / 2 for each in (one, best)]
     widens = one.problem.size * float(np.log(max(1.0, *shrinks) / min(1.0, *shrinks))) / 2
     return volumes[0] - volumes[1] + widens - (least - most) / 2 < -MAX_EVIDENCE_LOST
+
+
+def _count_frames(time: Array, count: Ints, contact: float) -> float:
+    """Count the frames from a contact to the first frame of positions that are means of so many, from the contact on.
+
+    More than 10 count as 10: a stretch so far from the contact hardly shows the velocity there.
+    """
+    if len(time) < 2:
+        return 1.0
+    middle = np.cumsum(count) - (count - 1) / 2
+    frame_s = float(np.median(np.diff(np.abs(time - contact)) / np.diff(middle)))
+    return float(np.clip(abs(float(time[0]) - contact) / frame_s - (count[0] - 1) / 2, 0.25, 10.0))
 
 
 def shows_end(solution: LocalSolution, k: int) -> bool:

@@ -5,7 +5,7 @@ import pytest
 
 from tracker.measurement.local.lasting_errors import CORRELATIONS, LastingErrors, measure_variances
 
-COLUMNS = 3
+COLUMNS, FIRST = 3, 2.25  # coefficients of the path; frames from the contact to the first position
 
 
 def draw(rho, n, count, seed=1):
@@ -33,7 +33,7 @@ def average(errors, count):
 
 def fit_velocities(errors, count):
     """Velocities (k, 2) at the contact, over their independent errors, of parabolas by least squares; the residuals."""
-    since = np.cumsum(count) - (count - 1) / 2
+    since = np.cumsum(count) - (count - 1) / 2 + FIRST - 1
     shapes = np.vander(since, COLUMNS, increasing=True) * np.sqrt(count)[:, None]
     inverse = np.linalg.pinv(shapes)
     found = np.einsum("cn,knd->kcd", inverse, errors)
@@ -49,13 +49,24 @@ def test_errors_beside_a_parabola_have_the_size_that_its_velocity_shows(rho, cou
     """The residuals of a fit by least squares, and the scatter of its velocity at the contact, from many draws."""
     at = int(np.argmin(np.abs(CORRELATIONS - rho)))
     found, left = fit_velocities(average(draw(rho, count.sum(), 3000), count), count)
-    known = LastingErrors.of(left[0], COLUMNS, count)
+    known = LastingErrors.of(left[0], COLUMNS, count, FIRST)
     squares = np.sum(left**2, axis=(1, 2))
     assert known.left[at] == pytest.approx(np.mean(squares) / (2 * (len(count) - COLUMNS)), rel=0.02)
     assert known.freedom[at] == pytest.approx(2 * np.mean(squares) ** 2 / np.var(squares), rel=0.08)
     assert known.inflation[at] == pytest.approx(np.mean(found**2), rel=0.05)
     likely = np.sum([LastingErrors.of(one, COLUMNS, count).log_likelihood for one in left[:300]], axis=0)
     assert CORRELATIONS[np.argmax(likely)] == pytest.approx(rho, abs=0.051)
+
+
+@pytest.mark.parametrize("first", [0.25, 1.0, 2.25, 6.0])
+@pytest.mark.parametrize("rho", [0.0, 0.4, 0.7])
+def test_the_variance_of_a_velocity_is_that_of_the_closed_form(rho, first):
+    """s C s by the exponential correlation C, where s fits the velocity at the contact to eight positions."""
+    at, since = int(np.argmin(np.abs(CORRELATIONS - rho))), first + np.arange(8)
+    fit = np.linalg.pinv(np.vander(since, COLUMNS, increasing=True))[1]
+    cov = rho ** np.abs(np.subtract.outer(since, since))
+    got = LastingErrors.of(np.ones((8, 2)), COLUMNS, first=first).inflation[at]
+    assert got == pytest.approx(fit @ cov @ fit / (fit @ fit), rel=1e-9)
 
 
 @pytest.mark.parametrize("n", [5, 9])

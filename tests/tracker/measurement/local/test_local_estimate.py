@@ -132,7 +132,7 @@ def test_velocities_of_pucks_that_stop_within_a_few_frames_have_errors(seed, num
     row |= apply_errors(row, LocalErrors())
     assert np.hypot(row["v2ox_true"], row["v2oy_true"]) < 0.06
     for name in ("v2ox", "v2oy", "r"):
-        assert row[f"{name}_local"] == pytest.approx(row[f"{name}_true"], abs=2.5 * row[f"{name}_local_std"])
+        assert row[f"{name}_local"] == pytest.approx(row[f"{name}_true"], abs=4 * row[f"{name}_local_std"])
     assert row["r_local_std"] < 0.03
 
 

@@ -99,12 +99,17 @@ def test_residuals_are_weighed_from_the_contact_on(monkeypatch):
     stretches = [replace(s, count=many if s.after else many[::-1]) for s in stretches]
     found, seen = run_alone(fit_motions(stretches, 0.0, True, (True,), LocalPriors(diameter))), {}
 
-    def measure_variances(residuals, freedom, columns, counts):
-        seen.update(residuals=residuals, counts=counts, columns=columns)
-        return [1.0] * len(residuals), 1.0
+    def measure_variances(residuals, freedom, columns, counts, firsts):
+        seen.update(residuals=residuals, counts=counts, columns=columns, firsts=firsts)
+        return [4.0] * len(residuals), 9.0, 16.0
 
     monkeypatch.setattr(local_fit, "measure_variances", measure_variances)
-    run_alone(weigh_by_residuals(found, known=False))
+    [again] = run_alone(weigh_by_residuals(found, known=False))
+    assert again.sizes == pytest.approx((3.0, 2.0, 2.0, 2.0))  # a body at rest has the mean
+    dry = replace(found[0].problem, priors=LocalPriors(diameter, dry=True))
+    [again] = run_alone(weigh_by_residuals([replace(found[0], problem=dry)], known=False))
+    assert again.sizes == pytest.approx((4.0, 2.0, 2.0, 2.0))  # or the error of one position
+    assert seen["firsts"] == pytest.approx([1.0] * 3, abs=0.01)
     np.testing.assert_array_equal(seen["counts"], [many] * 3)
     parts = found[0].residual.reshape(4, 30, 2)
     np.testing.assert_array_equal(seen["residuals"], [parts[1][::-1], parts[2], parts[3]])
