@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 
 from synthcam_shared.arrays import Array, Flags
 
@@ -135,8 +135,18 @@ def measure_friction(starts: PathStarts, noise: float, *, min_paths: int = 20) -
         unusual = float(x[1] - _SPIN_TRANSFER) / _SPIN_TRANSFER_STD
         return float((dof / 2 * np.log1p(fits.chi2_per_dof)).sum()) + unusual**2 / 2
 
-    start = np.array([0.0, _SPIN_TRANSFER])
-    best = minimize(price, start, method="Nelder-Mead", options={"xatol": 3e-3, "fatol": 0.1, "maxfev": 80})
+    def descend(log: float) -> OptimizeResult:
+        first = np.array(
+            [[log, _SPIN_TRANSFER], [log + 0.3, _SPIN_TRANSFER], [log, _SPIN_TRANSFER - _SPIN_TRANSFER_STD]]
+        )
+        return minimize(
+            price,
+            first[0],
+            method="Nelder-Mead",
+            options={"xatol": 3e-3, "fatol": 0.1, "maxfev": 120, "initial_simplex": first},
+        )
+
+    best = min((descend(log) for log in (-1.0, 0.0, 1.0)), key=lambda found: float(found.fun))  # of several minima
     step = np.array([0.05, 0.0])
     bend = (price(best.x + step) + price(best.x - step) - 2 * price(best.x)) / step[0] ** 2
     error = 1 / np.sqrt(bend) if bend > 0 else np.inf

@@ -8,7 +8,7 @@ from tracker.gas.hidden_slides import MAX_CHI2_PER_DOF, ROWS, PathStarts, PlateF
 NOISE, FPS, DECEL, SHARE = 5e-6, 250.0, 2.3, 0.33
 
 
-def make_starts(paths, seed=1):
+def make_starts(paths, seed=1, decel=DECEL, share=SHARE, noise=NOISE):
     """Balls that roll into a contact at random speeds, with the velocities just after it.
 
     Each slides until its lowest point rests, which a sphere does after 2/7 of its slip.
@@ -20,13 +20,13 @@ def make_starts(paths, seed=1):
     push = 0.95 * ((other - before) * normal).sum(axis=1)
     start = before + push[:, None] * normal
     rolled = before + other
-    slip = push[:, None] * normal + SHARE * (rolled * normal).sum(axis=1)[:, None] * normal
+    slip = push[:, None] * normal + share * (rolled * normal).sum(axis=1)[:, None] * normal
     size = np.hypot(*slip.T)
     time = np.tile((np.arange(ROWS) + 0.6) / FPS, (paths, 1))
-    rolls = 2 * size / 7 / DECEL
-    way = np.where(time < rolls[:, None], DECEL * time**2 / 2, (2 * size / 7)[:, None] * (time - rolls[:, None] / 2))
+    rolls = 2 * size / 7 / decel
+    way = np.where(time < rolls[:, None], decel * time**2 / 2, (2 * size / 7)[:, None] * (time - rolls[:, None] / 2))
     position = start[:, None] * time[..., None] - way[..., None] * (slip / size[:, None])[:, None]
-    position += rng.normal(0, NOISE, position.shape)
+    position += rng.normal(0, noise, position.shape)
     few, none = np.full(paths, 1e-4), np.zeros((paths, 2))
     return PathStarts(time, position, time > 0, few, before, few, none, rolled, normal), start
 
@@ -43,6 +43,14 @@ def test_a_film_shows_its_friction_and_the_velocities_after_contacts():
     assert np.median(fits.chi2_per_dof) == pytest.approx(1, abs=0.3)
     unlike = fit_slides(starts, PlateFriction(DECEL / 2, 0.01, SHARE), NOISE)
     assert np.median(unlike.chi2_per_dof) > MAX_CHI2_PER_DOF
+
+
+@pytest.mark.parametrize(("decel", "share", "noise"), [(0.3, 0.33, NOISE), (1.0, 0.0, 5e-5), (6.0, 0.33, NOISE)])
+def test_a_friction_far_from_the_usual_one_is_found_too(decel, share, noise):
+    """The cost has several minima; that of the true friction is the lowest."""
+    friction = measure_friction(make_starts(100, decel=decel, share=share, noise=noise)[0], noise)
+    assert friction.decel == pytest.approx(decel, rel=3 * friction.decel_std)
+    assert friction.spin_transfer == pytest.approx(share, abs=0.1)
 
 
 def test_few_paths_show_no_friction_and_nor_do_bodies_that_never_roll():

@@ -222,7 +222,7 @@ def _split_at_rest(track: BallTrack, rows: Ints, near: Flags) -> tuple[Ints, Int
     """
     same, least_friction, usual_friction, least_rows = 4.0, 0.05, 0.2, 3
     time, position = track.time[rows], track.position[rows]
-    parts = range(0, len(track.frame) - 11, 6)
+    parts = range(0, max(len(track.frame) - 11, 1), 6)
     noise = np.fmax.reduce([measure_path_noise([(track.frame[k : k + 12], track.position[k : k + 12])]) for k in parts])
     limit = same * float(noise)
     off = np.hypot(*(position - np.median(position[-(len(rows) // 3) :], axis=0)).T)

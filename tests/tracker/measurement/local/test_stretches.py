@@ -139,3 +139,12 @@ def test_an_error_that_lasts_averages_only_while_the_ball_moves(moves):
     for k, own in enumerate(stretch.cov - (0 if moves else 0.5 * cov[0])):
         whole[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own
     assert np.sum(stretch.whiten(error) ** 2) == pytest.approx(error.ravel() @ np.linalg.solve(whole, error.ravel()))
+
+
+@pytest.mark.parametrize("frames", [6, 11])
+def test_a_short_track_on_a_dry_plate_is_cut_too(frames):
+    """It is shorter than the parts of a track in which the noise is measured."""
+    time, rng = np.arange(frames) / 240, np.random.default_rng(0)
+    position = np.column_stack([0.3 * time, 0 * time]) + rng.normal(0, 1e-5, (frames, 2))
+    track = BallTrack(1, np.arange(frames), time, position, np.tile(1e-10 * np.eye(2), (frames, 1, 1)), 0.0)
+    assert len(cut_stretch(track, 1, True, 1.0, (-1e-3, -1e-3), 1 / 240, stops=True)) == frames
