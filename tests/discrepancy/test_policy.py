@@ -390,6 +390,29 @@ def test_a_size_that_agrees_with_zero_by_its_scatter_is_not_claimed(monkeypatch,
     assert beside_law(monkeypatch, from_zero=from_zero)[0].rejection is expected
 
 
+def test_two_aliases_that_fail_the_same_test_do_not_replace_one_another_without_end(monkeypatch):
+    """Both have a shape at an end of its range, and each could stand for the other."""
+    effects = {name: selection(state=(Made(name=name, strengths=()),), best=None) for name in ("hop", "bounce")}
+    nothing, turns = selection(state=(), best=None), []
+
+    def describe(_, state):
+        turns.append([effect.name for effect in state])
+        assert len(turns) < 9
+        return tuple(
+            Made(sigma=30.0, aliases=(e.name, *effects.keys() - {e.name}), values={}, shape_at_limit=lambda: ("b", 1.0))
+            for e in state
+        )
+
+    monkeypatch.setattr(claim_tests, "find_disagreements", lambda *_: (Made(sigma=0.0),))
+    monkeypatch.setattr(claim_tests, "describe_claims", describe)
+    monkeypatch.setattr(claim_tests, "make_selection", lambda *_: nothing)
+    monkeypatch.setattr(claim_tests, "compare_models", lambda *_: (PASSING, PASSING))
+    monkeypatch.setattr(claim_tests, "exchange_effect", lambda *arguments: effects[arguments[-1]])
+    validated = validate(effects["hop"], LIBRARY, HELD_OUT)
+    assert turns == [["hop"], ["bounce"], []]
+    assert [(t.name, t.rejection) for t in validated.rejected] == [("bounce", Rejection.SHAPE_AT_LIMIT)]
+
+
 WORSE = Rejection.HELD_OUT_WORSE
 LIBRARY = Made(evidence=Made(clips=()), required_sigma=4.2)
 
@@ -414,7 +437,7 @@ def test_twenty_sigma_are_asked_beside_what_is_unknown_and_where_a_law_was_rejec
     monkeypatch.setattr(claim_tests, "find_disagreements", lambda *_: (Made(sigma=left),))
 
     def tests(*arguments):
-        selected, level = arguments[0], arguments[-1]
+        selected, level = arguments[0], arguments[3]
         asked.append(level)
         again = len(asked) > 1
         test = made_test("y" if again else "x", None if again else WORSE, free)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum, auto
@@ -403,7 +403,7 @@ def validate(selection: Selection, library: LibraryFits, held_out: HeldOutClips)
 
     library: all models that the search fitted.
     """
-    rejected: list[ClaimTest] = []
+    rejected, replaced = list[ClaimTest](), set[str]()
     while True:
         law, level = selection.free_law, library.required_sigma
         is_unsure = law or any(test.is_free_law for test in rejected)
@@ -411,8 +411,10 @@ def validate(selection: Selection, library: LibraryFits, held_out: HeldOutClips)
             left = find_disagreements(library.evidence.clips, selection.best, held_out.noise)
             is_unsure = is_unexplained(left, current_policy())
         level = max(level, current_policy().beside_free_law_sigma) if is_unsure else level
-        test_claims = _test_beside_law if law else _test_effects
-        tests, without, claims = test_claims(selection, library, held_out, level)
+        if law:
+            tests, without, claims = _test_beside_law(selection, library, held_out, level)
+        else:
+            tests, without, claims = _test_effects(selection, library, held_out, level, replaced)
         failed = [test for test in tests if test.rejection]
         if not failed:
             passed = {test.name for test in tests}  # a claim that failed beside another may pass without it
@@ -421,6 +423,8 @@ def validate(selection: Selection, library: LibraryFits, held_out: HeldOutClips)
         worst = min(failed, key=lambda t: (t.rejection is not Rejection.ABSORBED, t.leave_one_out.sigma))
         if worst.rejection and not worst.rejection.leaves_nothing_missing:
             rejected.append(worst)
+        if worst.rejection is Rejection.REPLACED:
+            replaced.add(worst.name)
         selection = without[worst.name]
 
 
@@ -443,8 +447,18 @@ def judge_claim(
     return Rejection.AGREES_WITH_ZERO if from_zero < current_policy().leave_one_out_sigma else None
 
 
-def _test_effects(selection: Selection, library: LibraryFits, held_out: HeldOutClips, level: float) -> Tested:
-    """Test each effect of a selection without a free law; level: the sigma that an effect needs."""
+def _test_effects(
+    selection: Selection,
+    library: LibraryFits,
+    held_out: HeldOutClips,
+    level: float,
+    replaced: Collection[str] = (),
+) -> Tested:
+    """Test each effect of a selection without a free law.
+
+    level: the sigma that an effect needs. replaced: effects that do not come back in the place of their alias. Two
+    effects that fail the same test would else replace one another without end.
+    """
     tests, without, claims = [], dict[str, Selection](), describe_claims(library, selection.state)
     by_scatter = level > library.required_sigma or any(clip.is_stretch for clip in library.evidence.clips)
     jackknife = Jackknife.of(selection.best) if by_scatter and selection.state else None
@@ -457,7 +471,7 @@ def _test_effects(selection: Selection, library: LibraryFits, held_out: HeldOutC
         rejection, variation = judge_claim(claim, predictions, level, from_zero), None
         if rejection and rejection is not Rejection.NOT_SIGNIFICANT:
             for alias in claim.aliases[1:]:
-                other = exchange_effect(library, selection, candidate, alias)
+                other = None if alias in replaced else exchange_effect(library, selection, candidate, alias)
                 if other and not judge_predictions(*compare_models(claim.sigma, less.best, other.best, held_out)):
                     without[candidate.name], rejection = other, Rejection.REPLACED
                     break
