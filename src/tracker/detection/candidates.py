@@ -137,33 +137,63 @@ class Candidates:
 
 
 class _CutSums:
-    """Sums over boxes of what bytes exceed a floor by, cut off at 255, by adding shifted pictures."""
+    """Finds sums over boxes of what bytes exceed a floor by, from sums cut off at 255, by adding shifted pictures."""
 
     def __init__(self, shape: tuple[int, ...], box: int) -> None:
-        (h, w), self.box, self.rim = shape, box, box // 2
-        self.lifted = np.empty((h + 2 * self.rim, w + 2 * self.rim), np.uint8)
-        self.across, self.sums = np.empty((h + 2 * self.rim, w), np.uint8), np.empty((h, w), np.uint8)
+        (self.height, self.width), self.box, self.rim = shape, box, box // 2
+        wide = self.width + 2 * self.rim
+        self.lifted = np.empty((self.height + 2 * self.rim, wide), np.uint8)
+        self.down, self.over = np.empty((self.height, wide), np.uint8), np.empty((self.height, wide), np.bool_)
+        self.lines_decide = True  # whether few lines of a box are as bright as a box over the threshold has one
+        span = np.arange(box)
+        self.in_box = np.add.outer(span * wide, span).ravel()
 
-    def __call__(self, frame: NDArray[np.uint8], floor: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The sums (h, w); beyond its rim a picture is reflected. They are overwritten by the next call."""
-        (h, w), rim, lifted = frame.shape, self.rim, self.lifted
+    def find(
+        self, frame: NDArray[np.uint8], floor: NDArray[np.uint8], threshold: int
+    ) -> tuple[Ints, NDArray[np.int64]]:
+        """Pixels (k,) whose sums exceed a threshold below 255, in order, and these sums, not cut off.
+
+        Beyond its rim a picture is reflected. A sum over a threshold has at least one column of the box over that
+        threshold's share of a column. Where few columns are so bright, only the boxes that hold one are added up.
+        """
+        most_lines = 0.002  # share of the columns, from which on it is quicker to add up all boxes
+        (h, w), rim, lifted = (self.height, self.width), self.rim, self.lifted
         cv2.subtract(frame, floor, dst=lifted[rim : rim + h, rim : rim + w])
         for picture, n in ((lifted, h), (lifted.T, w)):
             picture[:rim] = picture[rim : 2 * rim][::-1]
             picture[n + rim :] = picture[n : n + rim][::-1]
-        cv2.add(lifted[:, :w], lifted[:, 1 : 1 + w], dst=self.across)
+        cv2.add(lifted[:h], lifted[1 : 1 + h], dst=self.down)
         for k in range(2, self.box):
-            cv2.add(self.across, lifted[:, k : k + w], dst=self.across)
-        cv2.add(self.across[:h], self.across[1 : 1 + h], dst=self.sums)
-        for k in range(2, self.box):
-            cv2.add(self.sums, self.across[k : k + h], dst=self.sums)
-        return self.sums
+            cv2.add(self.down, lifted[k : k + h], dst=self.down)
+        if self.lines_decide:
+            lines = _find_few(np.greater(self.down, np.uint8(threshold // self.box), out=self.over).ravel())
+            self.lines_decide = len(lines) < most_lines * h * w
+        return self._add_up(self._list_boxes(lines) if self.lines_decide else self._find_boxes(threshold), threshold)
 
-    def whole(self, rows: Ints, columns: Ints) -> Array:
-        """The sums (k,) at pixels, not cut off."""
-        wide, span = self.lifted.shape[1], np.arange(self.box)
-        pixels = (rows * wide + columns)[:, None] + np.add.outer(span * wide, span).ravel()
-        return np.asarray(self.lifted.ravel()[pixels].sum(axis=1, dtype=np.float64))
+    def _list_boxes(self, lines: Ints) -> Ints:
+        """First pixels (k,) of `lifted`, in order, of the boxes that have one of these columns."""
+        wide = self.width + 2 * self.rim
+        first = np.add.outer(lines, np.arange(1 - self.box, 1)).ravel()
+        first.sort()
+        new = np.ones(len(first), np.bool_)
+        np.not_equal(first[1:], first[:-1], out=new[1:])
+        new &= (first >= 0) & (first % wide < self.width)
+        return np.asarray(first[new])
+
+    def _find_boxes(self, threshold: int) -> Ints:
+        """First pixels (k,) of `lifted`, in order, of the boxes over a threshold."""
+        w = self.width
+        sums = cv2.add(self.down[:, :w], self.down[:, 1 : 1 + w])
+        for k in range(2, self.box):
+            cv2.add(sums, self.down[:, k : k + w], dst=sums)
+        pixels = _find_few(np.greater(sums, np.uint8(threshold)).ravel())
+        return np.asarray(pixels + pixels // w * (2 * self.rim))
+
+    def _add_up(self, first: Ints, threshold: int) -> tuple[Ints, NDArray[np.int64]]:
+        sums = self.lifted.ravel()[first[:, None] + self.in_box].sum(axis=1, dtype=np.int64)
+        bright = sums > threshold
+        first = first[bright]
+        return first - first // (self.width + 2 * self.rim) * (2 * self.rim), sums[bright]
 
 
 class CandidateSearch:
@@ -198,9 +228,9 @@ class CandidateSearch:
         cut = small and self.threshold < 255 and self.box <= 5
         self.cut_sums = _CutSums(plate.level.shape, self.box) if cut else None
         # Kept between frames: fresh memory of this size would cost more time than the sums.
-        self.over = np.empty(plate.level.shape, np.bool_)
-        self.lifted = np.empty_like(plate.level)
-        self.sums = np.empty(plate.level.shape, np.int16 if small else np.float32)
+        shape = (0, 0) if cut else plate.level.shape
+        self.over, self.lifted = np.empty(shape, np.bool_), np.empty(shape, plate.level.dtype)
+        self.sums = np.empty(shape, np.int16 if small else np.float32)
 
     @cached_property
     def smooth(self) -> NDArray[np.float32]:
@@ -227,9 +257,8 @@ class CandidateSearch:
     def _over(self, frame: NDArray[Any], floor: NDArray[Any]) -> tuple[Ints, Array]:
         """Indices (k,) of the pixels whose box sum above `floor` exceeds the threshold, and these sums."""
         if self.cut_sums is not None:
-            np.greater(self.cut_sums(frame, floor), np.uint8(self.threshold), out=self.over)
-            hits = _find_few(self.over.ravel())
-            return hits, self.cut_sums.whole(*np.divmod(hits, frame.shape[1]))
+            hits, strength = self.cut_sums.find(frame, floor, self.threshold)
+            return hits, strength.astype(np.float64)
         lifted = cv2.subtract(frame, floor, dst=self.lifted)
         box, edge = (self.box, self.box), cv2.BORDER_REFLECT
         sums = cv2.boxFilter(lifted, self.depth, box, dst=self.sums, normalize=False, borderType=edge)
@@ -254,10 +283,10 @@ class CandidateSearch:
 def _find_few(flags: NDArray[np.bool_]) -> Ints:
     """Find the true flags (n,), of which there are few, in less than half the time of np.flatnonzero."""
     whole = len(flags) // 8 * 8
-    words = np.flatnonzero(flags[:whole].view(np.uint64) != 0)
-    bytes_in = (words[:, None] * 8 + np.arange(8)).ravel()
-    rest = np.arange(whole, len(flags))
-    at = np.concatenate([bytes_in, rest])
+    words = (flags[:whole].view(np.uint64) != 0).nonzero()[0]
+    at = np.asarray((words[:, None] * 8 + np.arange(8)).ravel())
+    if whole < len(flags):
+        at = np.append(at, np.arange(whole, len(flags)))
     return np.asarray(at[flags[at]])
 
 

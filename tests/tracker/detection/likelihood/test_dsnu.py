@@ -96,6 +96,27 @@ def test_balls_are_left_out_and_what_they_hid_is_not_known():
     assert np.std((own - found)[passed]) == pytest.approx(left, rel=0.12)
 
 
+@pytest.mark.parametrize("level", [8, 90])
+@pytest.mark.parametrize("change", [0, -15, -60, 20, 120])
+def test_sums_in_bytes_are_those_in_numbers_of_more_bytes(level, change):
+    """Also where the light on the plate changes for a third of the film, and where a ball passes."""
+    rng, spread = np.random.default_rng(level), 1.0
+    own = spread * rng.standard_normal(SHAPE)
+    plate = EmptyPlate(np.full(SHAPE, level, np.uint8), noise(), np.empty(0, np.int64))
+    short, long = DsnuEstimator(plate, 3), DsnuEstimator(plate, 3)
+    long.bytes = None
+    for k in range(45):
+        light = level + own + change * (10 < k < 25) + NOISE * rng.standard_normal(SHAPE)
+        frame = np.clip(np.rint(light), 0, 255).astype(np.uint8)
+        at = np.array([60, 63]), np.array([5 * k, 5 * k + 4])
+        frame[60:64, 5 * k : 5 * k + 3] = 200
+        for one in (short, long):
+            one.add(frame, *at)
+    (found, left), (wanted, wanted_left) = (one.offsets(*ALL, spread) for one in (short, long))
+    np.testing.assert_allclose(found, wanted, atol=1e-4)
+    assert left == pytest.approx(wanted_left, rel=1e-5)
+
+
 def test_too_few_frames_measure_nothing():
     plate, _ = shown(np.random.default_rng(7), MIN_FRAMES - 1)
     found, left = plate.offsets(*ALL, SPREAD)
