@@ -1,12 +1,13 @@
-"""Follows few balls that keep apart, each by its own detection, until a frame needs the likelihoods of `assignment`.
+"""Follows few balls as long as none may meet another and their links are sure, until `assignment` has to weigh.
 
 The steps are those of `assignment.link_frame`, to the last bit. Numbers in place of arrays make them ten times faster,
 because numpy's time for two balls is that of its calls.
 """
 
 from collections.abc import Sequence
+from enum import Enum
 from itertools import combinations
-from math import hypot
+from math import hypot, inf, log, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +52,14 @@ class _State(NamedTuple):
         )
 
 
+class _Meeting(Enum):
+    """What two balls may do before the next frame, as `motion_filter` predicts it."""
+
+    APART = 0  # they stay too far apart to meet
+    PARTING = 1  # they are near, and move away from each other
+    POSSIBLE = 2
+
+
 def follow_apart(
     balls: PredictedBalls,
     frames: Sequence[int],
@@ -60,35 +69,49 @@ def follow_apart(
     longest: int,
     noise: MotionNoise,
 ) -> tuple[PredictedBalls, list[Ints]]:
-    """Follow few balls from the frame before the `first` on, as long as no two are near and each has a detection.
+    """Follow few balls from the frame before the `first` on, as long as no two may meet and all links are sure.
 
     frames: numbers of all frames with detections. parts: rows of xy (n, 2), px, that are theirs. longest: frames from
-    one to the next, at most.
-    Returns the balls in the last of these frames, and for each of them the row of each ball.
+    one detection of a ball to the next, at most.
+    Returns the balls in the last of these frames, and for each of them the row of each ball, or -1 of one not found.
     """
     rows = list[Ints]()
-    if not 0 < len(balls) <= MAX_FEW_BALLS or (balls.count < 2).any():
+    if not 0 < len(balls) <= MAX_FEW_BALLS:
         return balls, rows
     states = [_State(*state) for state in np.hstack([balls.xy, balls.v, balls.cov]).tolist()]
+    counts, seen, last = balls.count.tolist(), balls.seen.tolist(), balls.last.tolist()
     for k in range(first, len(frames)):
         step = frames[k] - frames[k - 1]
-        if len(parts[k]) != len(states) or (rows and step > longest) or _may_meet(states, step, noise):
+        if len(parts[k]) > len(states) or (rows and any(frames[k] - each > longest for each in seen)):
+            break
+        meeting = _predict_meeting(states, counts, step, noise)
+        if meeting is _Meeting.POSSIBLE:
             break
         found = xy[parts[k]].tolist()
         ahead = [state.advance(float(step), noise) for state in states]
-        own = _match(ahead, found, noise)
+        own = None
+        if meeting is _Meeting.APART and len(found) == len(states) and min(counts) > 1:
+            own = _match(ahead, found, noise)
+        if own is None:
+            own = _match_surely(states, ahead, counts, found, step, noise)
         if own is None:
             break
-        states = [state.correct(found[at], noise) for state, at in zip(ahead, own, strict=True)]
-        rows.append(parts[k][own])
+        states = list[_State]()
+        for i, (state, at) in enumerate(zip(ahead, own, strict=True)):
+            if at < 0:
+                states.append(state)
+                continue
+            states.append(state.correct(found[at], noise))
+            counts[i], seen[i], last[i] = counts[i] + 1, frames[k], found[at]
+        rows.append(np.array([parts[k][at] if at >= 0 else -1 for at in own], dtype=np.int64))
     if not rows:
         return balls, rows
-    last, now = frames[first + len(rows) - 1], np.array(states)
+    now = np.array(states)
     followed = PredictedBalls(
         number=balls.number,
-        seen=np.full_like(balls.seen, last),
-        count=balls.count + len(rows),
-        last=xy[rows[-1]],
+        seen=np.array(seen, dtype=balls.seen.dtype),
+        count=np.array(counts, dtype=balls.count.dtype),
+        last=np.array(last),
         xy=now[:, :2],
         v=now[:, 2:4],
         cov=now[:, 4:],
@@ -96,15 +119,19 @@ def follow_apart(
     return followed, rows
 
 
-def _may_meet(states: Sequence[_State], step: int, noise: MotionNoise) -> bool:
-    """Tell whether two balls may come within a diameter, as `motion_filter.find_near_balls` does."""
-    rounding = 1 + 1e-9  # in doubt they may: numpy's hypot differs in the last bit
-    reach = (1 + 3 * noise.distance) * noise.diameter
-    for one, other in combinations(states, 2):
-        square = (one.x - other.x) ** 2 + (one.y - other.y) ** 2
-        if square < rounding * (reach + (hypot(one.vx, one.vy) + hypot(other.vx, other.vy)) * step) ** 2:
-            return True
-    return False
+def _predict_meeting(states: Sequence[_State], counts: Sequence[int], step: int, noise: MotionNoise) -> _Meeting:
+    """Predict whether two balls, both seen twice, may meet, as `find_near_balls` and `predict_hits` do."""
+    rounding = 1e-9  # in doubt they may: numpy's hypot differs in the last bit
+    reach, out = (1 + 3 * noise.distance) * noise.diameter, _Meeting.APART
+    for one, other in combinations([state for state, count in zip(states, counts, strict=True) if count > 1], 2):
+        right, down = other.x - one.x, other.y - one.y
+        near = reach + (hypot(one.vx, one.vy) + hypot(other.vx, other.vy)) * step
+        if right * right + down * down < (1 + rounding) * near**2:
+            vx, vy = other.vx - one.vx, other.vy - one.vy
+            if not right * vx + down * vy > rounding * hypot(right, down) * hypot(vx, vy):
+                return _Meeting.POSSIBLE
+            out = _Meeting.PARTING
+    return out
 
 
 def _match(states: Sequence[_State], found: Sequence[Sequence[float]], noise: MotionNoise) -> list[int] | None:
@@ -117,3 +144,42 @@ def _match(states: Sequence[_State], found: Sequence[Sequence[float]], noise: Mo
             return None
         own.append(off.index(least))
     return own if len(set(own)) == len(own) else None
+
+
+def _match_surely(
+    states: Sequence[_State],
+    ahead: Sequence[_State],
+    counts: Sequence[int],
+    found: Sequence[Sequence[float]],
+    step: int,
+    noise: MotionNoise,
+) -> list[int] | None:
+    """The detection of each ball, or -1, where the likelihoods of `assignment` leave no choice; None otherwise.
+
+    That is so if each detection has a gain with one ball only, which came freely, and no ball has two of them. A bound
+    on each gain decides; in doubt there is a choice. No ball meets another.
+    """
+    rounding, doubt = 1 + 1e-9, 1e-6  # of squares, and of logarithms
+    base, own, taken = noise.log_seen - log(noise.false_density), [-1] * len(states), set[int]()
+    for i, (before, state, count) in enumerate(zip(states, ahead, counts, strict=True)):
+        variance, speed = state.xx + noise.position**2, hypot(before.vx, before.vy) * step
+        lost = 0.6 * noise.diameter * step + noise.tolerance * speed
+        back = 0.3 * noise.diameter * step + speed
+        hit_by_unseen = log(noise.unseen_hits / (pi * max(lost, speed) ** 2))
+        for at, (x, y) in enumerate(found):
+            off = (x - state.x) ** 2 + (y - state.y) ** 2
+            if count < 2:  # seen once, it may go anywhere within reach
+                if off < rounding * (noise.reach * step) ** 2:
+                    return None
+                continue
+            way = (x - before.x) ** 2 + (y - before.y) ** 2
+            free, unseen = -log(2 * pi * variance) - off / (2 * variance), -inf
+            if off < rounding * lost**2 or way < rounding * back**2:
+                unseen = hit_by_unseen
+            if max(free, unseen) + log(2) + base < -doubt:
+                continue
+            if own[i] >= 0 or at in taken or free + base < doubt or unseen > free - doubt:
+                return None
+            own[i] = at
+            taken.add(at)
+    return own if len(taken) == len(found) else None

@@ -145,7 +145,8 @@ def _follow(glints: Glints, noise: MotionNoise, max_gap_frames: int) -> list[Int
         live = live if recent.all() else live.take(recent)
         live, alone = follow_apart(live, numbers, parts, xy, k, max_gap_frames + 1, noise)
         if alone:
-            track[np.concatenate(alone)] = np.tile(live.number, len(alone))
+            own = np.concatenate(alone)
+            track[own[own >= 0]] = np.tile(live.number, len(alone))[own >= 0]
             k += len(alone)
             continue
         rows = parts[k]
