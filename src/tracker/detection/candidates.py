@@ -24,6 +24,7 @@ MEDIAN_OF_NINE = (
 )  # fmt: skip
 MAX_FITTED = 64  # candidates of a frame; maximum likelihood takes minutes for more
 MAX_FOLLOWED = 512  # of a frame, by centroids and linear fits
+RAISED_SHARE = 0.01  # of the pixels over the threshold, from which the plate itself may have become lighter
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,63 +138,96 @@ class Candidates:
 
 
 class _CutSums:
-    """Finds sums over boxes of what bytes exceed a floor by, from sums cut off at 255, by adding shifted pictures."""
+    """Sums over boxes of what bytes exceed a floor by, cut off at 255, by adding shifted pictures.
+
+    A sum over a threshold has at least one column of the box over that threshold's share of a column. Where few columns
+    are so bright, only the boxes that hold one are added up.
+    """
+
+    WORD = 8  # pixels that are looked at together
 
     def __init__(self, shape: tuple[int, ...], box: int) -> None:
         (self.height, self.width), self.box, self.rim = shape, box, box // 2
-        wide = self.width + 2 * self.rim
-        self.lifted = np.empty((self.height + 2 * self.rim, wide), np.uint8)
-        self.down, self.over = np.empty((self.height, wide), np.uint8), np.empty((self.height, wide), np.bool_)
-        self.lines_decide = True  # whether few lines of a box are as bright as a box over the threshold has one
-        span = np.arange(box)
-        self.in_box = np.add.outer(span * wide, span).ravel()
+        self.wide = self.width + 2 * self.rim
+        size = self.height * self.wide  # of the sums of columns, to which a part of a word is added
+        self.down, self.over = (
+            np.zeros(size + -size % self.WORD, np.uint8),
+            np.zeros(size + -size % self.WORD, np.bool_),
+        )
+        self.columns = self.down[:size].reshape(self.height, self.wide)
+        size += 2 * self.rim * self.wide
+        self.pixels = np.zeros(size + 2 * self.WORD, np.uint8)
+        self.lifted = self.pixels[:size].reshape(-1, self.wide)
+        self.sums = np.empty(shape, np.uint8)
+        self.is_quick = True  # whether few columns are so bright
+        rows, across = np.arange(box) * self.wide, np.arange(1 - box, self.WORD + box - 1)
+        self.around = np.add.outer(rows, across).ravel()  # the pixels of the boxes that hold a column of a word
 
-    def find(
+    def __reduce__(self) -> tuple[type[_CutSums], tuple[tuple[int, int], int]]:
+        """Make new memory in another process: pickled, views would become arrays of their own."""
+        return _CutSums, ((self.height, self.width), self.box)
+
+    def add_up(self, frame: NDArray[np.uint8], floor: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The sums (h, w). They are overwritten by the next call."""
+        self._add_columns(frame, floor)
+        w, down = self.width, self.columns
+        cv2.add(down[:, :w], down[:, 1 : 1 + w], dst=self.sums)
+        for k in range(2, self.box):
+            cv2.add(self.sums, down[:, k : k + w], dst=self.sums)
+        return self.sums
+
+    def whole(self, rows: Ints, columns: Ints) -> Array:
+        """The sums (k,) at pixels, not cut off."""
+        span = np.arange(self.box)
+        pixels = (rows * self.wide + columns)[:, None] + np.add.outer(span * self.wide, span).ravel()
+        return np.asarray(self.pixels[pixels].sum(axis=1, dtype=np.float64))
+
+    def find_bright_words(
         self, frame: NDArray[np.uint8], floor: NDArray[np.uint8], threshold: int
-    ) -> tuple[Ints, NDArray[np.int64]]:
-        """Pixels (k,) whose sums exceed a threshold below 255, in order, and these sums, not cut off.
+    ) -> tuple[Ints, NDArray[np.uint8]] | None:
+        """Words (k,) of pixels with a bright column, and the pixels of their boxes; None where there are many.
 
-        Beyond its rim a picture is reflected. A sum over a threshold has at least one column of the box over that
-        threshold's share of a column. Where few columns are so bright, only the boxes that hold one are added up.
+        The pixels are (k, box, 8 + 2 (box - 1)).
         """
-        most_lines = 0.002  # share of the columns, from which on it is quicker to add up all boxes
-        (h, w), rim, lifted = (self.height, self.width), self.rim, self.lifted
+        most = 0.002  # share of the words, from which on it is quicker to add up all boxes
+        if not self.is_quick:
+            return None
+        self._add_columns(frame, floor)
+        np.greater(self.down, np.uint8(threshold // self.box), out=self.over)
+        words = np.asarray((self.over.view(np.uint64) != 0).nonzero()[0])
+        self.is_quick = len(words) < max(most * len(self.over), 64)
+        if not self.is_quick:
+            return None
+        around = self.pixels[(words * self.WORD)[:, None] + self.around]
+        return words, around.reshape(len(words), self.box, self.WORD + 2 * (self.box - 1))
+
+    def find_boxes(self, words: Ints, pixels: NDArray[np.uint8], threshold: int) -> tuple[Ints, Ints, Ints, Array]:
+        """The boxes (m,) of bright words whose sums exceed a threshold: word, row, column and sum, not cut off.
+
+        A box that holds columns of two words is in both.
+        """
+        down = pixels.sum(axis=1, dtype=np.int64)
+        count = self.WORD + self.box - 1
+        sums = down[:, :count].copy()
+        for k in range(1, self.box):
+            sums += down[:, k : k + count]
+        word, at = (sums > threshold).nonzero()
+        first = words[word] * self.WORD + at + (1 - self.box)
+        rows, columns = np.divmod(first, self.wide)
+        inside = (first >= 0) & (columns < self.width) & (rows < self.height)
+        word, at = word[inside], at[inside]
+        return word, rows[inside], columns[inside], sums[word, at].astype(np.float64)
+
+    def _add_columns(self, frame: NDArray[np.uint8], floor: NDArray[np.uint8]) -> None:
+        """Lift a frame off the floor, beyond whose rim it is reflected, and add up the columns of all boxes."""
+        (h, w), rim, lifted = frame.shape, self.rim, self.lifted
         cv2.subtract(frame, floor, dst=lifted[rim : rim + h, rim : rim + w])
         for picture, n in ((lifted, h), (lifted.T, w)):
             picture[:rim] = picture[rim : 2 * rim][::-1]
             picture[n + rim :] = picture[n : n + rim][::-1]
-        cv2.add(lifted[:h], lifted[1 : 1 + h], dst=self.down)
+        cv2.add(lifted[:h], lifted[1 : 1 + h], dst=self.columns)
         for k in range(2, self.box):
-            cv2.add(self.down, lifted[k : k + h], dst=self.down)
-        if self.lines_decide:
-            lines = _find_few(np.greater(self.down, np.uint8(threshold // self.box), out=self.over).ravel())
-            self.lines_decide = len(lines) < most_lines * h * w
-        return self._add_up(self._list_boxes(lines) if self.lines_decide else self._find_boxes(threshold), threshold)
-
-    def _list_boxes(self, lines: Ints) -> Ints:
-        """First pixels (k,) of `lifted`, in order, of the boxes that have one of these columns."""
-        wide = self.width + 2 * self.rim
-        first = np.add.outer(lines, np.arange(1 - self.box, 1)).ravel()
-        first.sort()
-        new = np.ones(len(first), np.bool_)
-        np.not_equal(first[1:], first[:-1], out=new[1:])
-        new &= (first >= 0) & (first % wide < self.width)
-        return np.asarray(first[new])
-
-    def _find_boxes(self, threshold: int) -> Ints:
-        """First pixels (k,) of `lifted`, in order, of the boxes over a threshold."""
-        w = self.width
-        sums = cv2.add(self.down[:, :w], self.down[:, 1 : 1 + w])
-        for k in range(2, self.box):
-            cv2.add(sums, self.down[:, k : k + w], dst=sums)
-        pixels = _find_few(np.greater(sums, np.uint8(threshold)).ravel())
-        return np.asarray(pixels + pixels // w * (2 * self.rim))
-
-    def _add_up(self, first: Ints, threshold: int) -> tuple[Ints, NDArray[np.int64]]:
-        sums = self.lifted.ravel()[first[:, None] + self.in_box].sum(axis=1, dtype=np.int64)
-        bright = sums > threshold
-        first = first[bright]
-        return first - first // (self.width + 2 * self.rim) * (2 * self.rim), sums[bright]
+            cv2.add(self.columns, lifted[k : k + h], dst=self.columns)
 
 
 class CandidateSearch:
@@ -217,7 +251,7 @@ class CandidateSearch:
         self.box = max(3, 2 * round(1.2 * sigma) + 1)
         # Differences are unsigned. To keep negative noise, the search subtracts a little less than the plate.
         drop = math.ceil(3.0 * plate.noise)
-        self.floor = cv2.subtract(plate.level, np.full_like(plate.level, drop))
+        self.floor: NDArray[Any] = cv2.subtract(plate.level, np.full_like(plate.level, drop))
         area = self.box * self.box
         small = plate.level.dtype == np.uint8 and area * 255 < 2**15
         self.depth = cv2.CV_16S if small else cv2.CV_32F
@@ -239,11 +273,58 @@ class CandidateSearch:
 
     def __call__(self, frame: NDArray[Any]) -> Candidates:
         """The candidates of a frame (h, w)."""
-        raised_share = 0.01  # of the pixels over the threshold, from which the plate itself may have become lighter
+        [found] = self.search_together([frame])
+        return found
+
+    def search_together(self, frames: Sequence[NDArray[Any]]) -> list[Candidates]:
+        """The candidates of each of some frames; most of the time of small frames is that of numpy's calls."""
+        bright, waiting, out = list[tuple[Ints, NDArray[np.uint8]]](), list[int](), list[Candidates | None]()
+        for k, frame in enumerate(frames):
+            found = self.cut_sums and self.cut_sums.find_bright_words(frame, self.floor, self.threshold)
+            out.append(None if found else self._search_thoroughly(frame))
+            if found:
+                waiting.append(k)
+                bright.append(found)
+        if self.cut_sums and waiting:
+            of_frame = np.repeat(waiting, [len(words) for words, _ in bright])
+            words, pixels = (np.concatenate(part) for part in zip(*bright, strict=True))
+            word, rows, columns, sums = self.cut_sums.find_boxes(words, pixels, self.threshold)
+            strongest = self._choose_strongest(waiting, of_frame[word], columns, rows, sums)
+            for k, one in zip(waiting, strongest, strict=True):
+                out[k] = one
+        return [self._search_thoroughly(frames[k]) if one is None else one for k, one in enumerate(out)]
+
+    def _choose_strongest(
+        self, numbers: Sequence[int], frame: Ints, columns: Ints, rows: Ints, values: Array
+    ) -> list[Candidates | None]:
+        """The strongest pixels of each of these frames, as `_strongest`; None where one has too many for that."""
+        order = np.lexsort((columns, rows, -values, frame))
+        frame, columns, rows, values = frame[order], columns[order], rows[order], values[order]
+        limits = frame.searchsorted([*numbers, numbers[-1] + 1])
+        many = np.diff(limits) > RAISED_SHARE * self.plate.level.size
+        chosen, left = [np.empty(0, np.int64)], np.arange(len(frame))
+        for _ in range(self.most):
+            if not len(left):
+                break
+            heads = np.append(True, frame[left[1:]] != frame[left[:-1]])
+            best, of_left = left[heads], np.cumsum(heads) - 1
+            chosen.append(best)
+            across, down = columns[left] - columns[best[of_left]], rows[left] - rows[best[of_left]]
+            left = left[across * across + down * down > self.apart**2]
+        kept = np.concatenate(chosen)
+        kept = kept[np.argsort(frame[kept], kind="stable")]
+        limits = frame[kept].searchsorted([*numbers, numbers[-1] + 1])
+        return [
+            None if full else Candidates(columns[own], rows[own], values[own] - self.base)
+            for full, own in zip(many.tolist(), np.split(kept, limits[1:-1]), strict=True)
+        ]
+
+    def _search_thoroughly(self, frame: NDArray[Any]) -> Candidates:
+        """The candidates of a frame, which may have many bright pixels."""
         crowded_share = 0.3  # of the pixels over the threshold: too much for balls
         max_shift = 3.0  # counts by which an encoder shifts a whole plate or half of one, at most
         hits, strength = self._over(frame, self.floor)
-        if len(hits) > raised_share * frame.size:
+        if len(hits) > RAISED_SHARE * frame.size:
             raised = np.rint(_smooth(frame) - self.smooth)
             level = self.floor + np.where(np.abs(raised) <= max_shift, raised, 0.0)
             hits, strength = self._over(frame, np.clip(level, 0, np.iinfo(frame.dtype).max).astype(frame.dtype))
@@ -257,8 +338,9 @@ class CandidateSearch:
     def _over(self, frame: NDArray[Any], floor: NDArray[Any]) -> tuple[Ints, Array]:
         """Indices (k,) of the pixels whose box sum above `floor` exceeds the threshold, and these sums."""
         if self.cut_sums is not None:
-            hits, strength = self.cut_sums.find(frame, floor, self.threshold)
-            return hits, strength.astype(np.float64)
+            over = np.greater(self.cut_sums.add_up(frame, floor), np.uint8(self.threshold))
+            hits = _find_few(over.ravel())
+            return hits, self.cut_sums.whole(*np.divmod(hits, frame.shape[1]))
         lifted = cv2.subtract(frame, floor, dst=self.lifted)
         box, edge = (self.box, self.box), cv2.BORDER_REFLECT
         sums = cv2.boxFilter(lifted, self.depth, box, dst=self.sums, normalize=False, borderType=edge)

@@ -79,6 +79,8 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
 def _choose_for_glints(sample: Sequence[Any], level: NDArray[Any], least: float) -> tuple[str, str]:
     """Maximum likelihood, or linear fits where a frame shows so many specks that it would take minutes."""
     bright = [cv2.subtract(np.asarray(picture), level) > math.floor(least) for picture in sample]
+    if np.median([np.count_nonzero(spots) for spots in bright]) <= MAX_FITTED:
+        return GLINTS, ""
     # Each speck has a run of pixels in one line at least, and runs are counted much sooner.
     runs = [np.count_nonzero(spots[:, 1:] > spots[:, :-1]) + np.count_nonzero(spots[:, 0]) for spots in bright]
     if np.median(runs) <= MAX_FITTED:

@@ -76,3 +76,31 @@ def test_candidates_are_the_strongest_of_all_box_sums_in_their_order(shape):
     assert list(zip(found.row, found.column, strict=True)) == wanted
     assert len(wanted) == kept
     assert np.array_equal(found.strength, [sums[at] - search.base for at in wanted])
+
+
+@pytest.mark.parametrize("sigma", [1.0, 1.6])
+def test_frames_that_are_searched_together_have_the_candidates_of_each_alone(sigma):
+    """Glints anywhere, also across the rim; empty frames, a lighter plate and a crowded one are among them."""
+    rng, level = np.random.default_rng(3), np.full(SIZE, 8, np.uint8)
+    frames = [drawn(level, seed) for seed in range(4)]
+    for frame, by in zip(frames, rng.uniform(-3, 3, 4), strict=True):
+        frame[:] = np.roll(frame, rng.integers(0, SIZE), axis=(0, 1))
+        frame[:, :] += np.uint8(by > 0)
+    frames[1:1] = [level, drawn(np.full(SIZE, 10.0)), drawn(np.full(SIZE, 40.0)), level]
+    plate = EmptyPlate(level, 0.3)
+    together = CandidateSearch(plate, sigma, 10.0).search_together(frames)
+    assert [len(found.row) > 0 for found in together] == [True, False, True, False, False, True, True, True]
+    for frame, found in zip(frames, together, strict=True):
+        alone = CandidateSearch(plate, sigma, 10.0)._search_thoroughly(frame)
+        assert found.crowded == alone.crowded
+        for name in ("column", "row", "strength"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
+
+
+@pytest.mark.parametrize("column", [*range(24), *range(150, 160)])
+def test_a_glint_is_found_wherever_it_lies_in_a_word_of_pixels(column):
+    frame = np.full(SIZE, 8, np.uint8)
+    frame[50:53, column] = (20, 60, 20)
+    found = CandidateSearch(EmptyPlate(np.full(SIZE, 8, np.uint8), 0.3), 1.0, 10.0)(frame)
+    assert found.row.tolist() == [51]
+    assert abs(found.column[0] - column) <= 1

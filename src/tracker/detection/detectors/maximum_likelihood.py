@@ -7,8 +7,9 @@ Candidates are collected frame by frame. A block of them is then fitted in two p
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,7 @@ class MaximumLikelihood:
 
     def detect(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Detections:
         """Glints of numbered frames, their motion blur from the glints' own motion from frame to frame."""
-        return self.gather((number, self.examine(number, frame)) for number, frame in frames)
+        return self.gather(self._examine_in_turn(frames))
 
     @property
     def can_share(self) -> bool:
@@ -81,10 +82,23 @@ class MaximumLikelihood:
 
     def examine(self, number: int, frame: NDArray[Any]) -> tuple[Candidates, list[Patch]]:
         """The candidates of a frame, and the pixels around each."""
-        found = self.search(frame)
-        if self.dsnu and not found.crowded:
-            self.dsnu.add(frame, found.row, found.column)
-        return found, cut_patches(frame, found, self.geometry.reach, self.sound)
+        [(_, examined)] = self._examine_in_turn([(number, frame)])
+        return examined
+
+    def _examine_in_turn(
+        self, frames: Iterable[tuple[int, NDArray[Any]]]
+    ) -> Iterator[tuple[int, tuple[Candidates, list[Patch]]]]:
+        """Examine numbered frames, a few small ones at a time."""
+        most_frames, most_pixels = 8, 2**22  # at a time
+        together = min(max(most_pixels // self.sound.size, 1), most_frames)
+        left = iter(frames)
+        while some := list(islice(left, together)):
+            for (number, frame), found in zip(
+                some, self.search.search_together([each for _, each in some]), strict=True
+            ):
+                if self.dsnu and not found.crowded:
+                    self.dsnu.add(frame, found.row, found.column)
+                yield number, (found, cut_patches(frame, found, self.geometry.reach, self.sound))
 
     def gather(self, examined: Iterable[tuple[int, tuple[Candidates, list[Patch]]]]) -> Detections:
         """The glints of these candidates, fitted in blocks."""
