@@ -34,6 +34,7 @@ from tracker.detection.detect import (
     load_linker,
     make_view,
 )
+from tracker.detection.detector import Detections, View
 from tracker.detection.diagnose import (
     MIN_DETECTIONS,
     LooseEnds,
@@ -45,6 +46,14 @@ from tracker.detection.diagnose import (
     warn_of_missed_examples,
     warn_of_moving_camera,
 )
+from tracker.detection.fast_balls import (
+    allow_fast_balls,
+    describe_speed_limit,
+    may_be_fast,
+    raise_speed_limit,
+    set_link_settings,
+)
+from tracker.detection.glints import Glints
 from tracker.detection.link import Tracks, link_into_tracks, to_centres
 from tracker.edits import EditsSource, TrackEdits
 from tracker.measurement.collision.adequacy import MEASURED, describe_failure
@@ -535,17 +544,10 @@ def track_clip(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracke
     """Track one recording by one detector."""
     settings = settings or TrackerSettings()
     view = make_view(clip, name, settings)
-    found, view = detect_until_blur_converges(clip if name == DISCS else blank_outside(clip, view), view, name)
     numbers = clip.frames.numbers
     stored = view.takes.spans if view.takes is not None else [(0, len(clip.frames) - 1)]
     spans = [(int(numbers[first]), int(numbers[last])) for first, last in stored]
-    glints = replace(found.glints, frame=numbers[found.glints.frame])
-    if clip.area is not None:
-        column, row = np.clip(np.rint(glints.xy), 0, np.array(view.camera.size) - 1).astype(int).T
-        glints = glints.take(np.flatnonzero(clip.area[row, column]))
-    takes = spans if view.takes is not None else ()
-    linker = load_linker(name, view.camera, settings.link)
-    tracks = link_into_tracks(glints, view.camera, find_detected_point(name, clip.camera), takes, linker, settings.link)
+    found, view, tracks = _detect_and_link(clip, view, name, spans)
     if clip.frames.seconds is not None:
         tracks = replace(tracks, time=clip.frames.seconds[np.searchsorted(numbers, tracks.frame)])
     if view.takes is not None:
@@ -557,11 +559,46 @@ def track_clip(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracke
     if view.takes is None:
         specks = describe_other_specks(clip.frames, view.plate, clip.channel)
         notes += make_notes(NoteKind.DETECTOR, specks, clip.number)
+    notes += make_notes(NoteKind.LINKING, [describe_speed_limit(view.settings.link, settings.link)], clip.number)
     loose = count_loose_ends(tracks, view.camera.size, spans)
     moving = warn_of_moving_camera(clip.frames) if loose.are_most else ()
     notes += make_notes(NoteKind.LINKING, moving, clip.number)
     hint = LooseEnds.HINT_AT_BODIES if name == GLINTS else ""
     return TrackedClip(tracks, view.camera, why, tuple(notes), loose, hint)
+
+
+def _detect_and_link(
+    clip: Recording, view: View, name: DetectorChoice, spans: Sequence[tuple[int, int]]
+) -> tuple[Detections, View, Tracks]:
+    """Detect and link the balls of a recording; again if the tracks leave glints out that faster balls explain.
+
+    spans: first and last frames of takes. The view has the settings that were used.
+    """
+    takes, point = spans if view.takes is not None else (), find_detected_point(name, clip.camera)
+
+    def detect_in(view: View) -> tuple[Detections, View, Glints]:
+        found, view = detect_until_blur_converges(clip if name == DISCS else blank_outside(clip, view), view, name)
+        glints = replace(found.glints, frame=clip.frames.numbers[found.glints.frame])
+        if clip.area is not None:
+            column, row = np.clip(np.rint(glints.xy), 0, np.array(view.camera.size) - 1).astype(int).T
+            glints = glints.take(np.flatnonzero(clip.area[row, column]))
+        return found, view, glints
+
+    def link(view: View, glints: Glints) -> Tracks:
+        settings = view.settings.link
+        linker = load_linker(name, view.camera, settings)
+        return link_into_tracks(glints, view.camera, point, takes, linker, settings)
+
+    found, view, glints = detect_in(view)
+    tracks = link(view, glints)
+    if point == "glint" and may_be_fast(glints, tracks, view.settings.link):
+        usual = view.settings.link
+        _, there, smeared = detect_in(set_link_settings(view, allow_fast_balls(view.camera, usual)))
+        faster = raise_speed_limit(smeared, there.camera, usual)
+        if faster is not usual:
+            found, view, glints = detect_in(set_link_settings(view, faster))
+            tracks = link(view, glints)
+    return found, view, tracks
 
 
 def measure_clip(

@@ -12,6 +12,11 @@ from synthcam_shared.settings import Fraction, NotNegative, Positive, Settings, 
 
 Count = Annotated[int, Field(ge=1)]
 
+USUAL_SPEED_M_S = 1.0
+"""Greatest speed of a ball in its first frame, unless a film shows faster ones."""
+USUAL_STEP_PX = 30.0
+"""The same in px per frame, where no camera file gives a scale."""
+
 
 class DetectionSettings(Settings):
     """How balls are found in frames. Detectors read these as ``view.settings.detection``.
@@ -91,11 +96,13 @@ class LinkSettings(Settings):
     """Coefficient of restitution with which two balls that meet are predicted to bounce. It only sets where they are
     searched for; the measurement does not use it. Steel balls have 0.85 to 0.95."""
 
-    max_speed_m_s: Positive = 1.0
-    """Greatest speed of a ball in its first frame, m/s. Laboratory collisions have 0.1 to 0.7 m/s."""
+    max_speed_m_s: Positive | None = None
+    """Greatest speed of a ball in its first frame, m/s. Default: 1 m/s, or what a film with faster balls shows.
+    Laboratory collisions have 0.1 to 0.7 m/s."""
 
-    max_step_px: Positive = 30.0
-    """The same in px per frame where no camera file gives a scale. At least two diameters are always allowed."""
+    max_step_px: Positive | None = None
+    """The same in px per frame where no camera file gives a scale; its default is 30 px, or what the film shows. At
+    least two diameters are always allowed."""
 
 
 class FitSettings(Settings):

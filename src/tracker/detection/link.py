@@ -18,7 +18,7 @@ from tracker.detection.assignment import link_frame
 from tracker.detection.few_balls import follow_apart
 from tracker.detection.glints import Glints, RowArrays, describe_flags
 from tracker.detection.motion_filter import MotionNoise, PredictedBalls
-from tracker.settings import LinkSettings
+from tracker.settings import USUAL_SPEED_M_S, USUAL_STEP_PX, LinkSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,12 +161,19 @@ def _follow(glints: Glints, noise: MotionNoise, max_gap_frames: int) -> list[Int
     return np.split(ordered, np.flatnonzero(np.diff(track[ordered])) + 1)
 
 
+def find_reach(camera: Camera, settings: LinkSettings) -> float:
+    """Find how far a ball may move in its first frame, px, if it is not larger than that itself."""
+    if camera.metric:
+        return (settings.max_speed_m_s or USUAL_SPEED_M_S) / camera.fps / camera.scale
+    return settings.max_step_px or USUAL_STEP_PX
+
+
 def _expect_motion(glints: Glints, camera: Camera, seen_whole: float | None, settings: LinkSettings) -> MotionNoise:
     """The expected motion of balls in this film; seen_whole: their diameter, px, where they are seen whole."""
     max_acceleration_m_s2 = 3.5  # of a ball that slides
     min_error_px = 0.05  # of a position, and of its prediction
     diameter = seen_whole or camera.diameter_px
-    reach = settings.max_speed_m_s / camera.fps / camera.scale if camera.metric else settings.max_step_px
+    reach = find_reach(camera, settings)
     errors = np.sqrt(np.trace(glints.cov, axis1=1, axis2=2) / 2)
     error = float(np.median(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else 0.0
     push = max_acceleration_m_s2 / camera.fps**2 / camera.scale if camera.metric else 0.0

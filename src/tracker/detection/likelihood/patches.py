@@ -13,6 +13,7 @@ from tracker.detection.candidates import Candidates, estimate_coarse_positions
 from tracker.detection.detector import View
 from tracker.detection.glints import RowArrays
 from tracker.detection.likelihood.glint_fit import GlintWindows
+from tracker.settings import USUAL_SPEED_M_S
 
 Patch: TypeAlias = tuple[NDArray[Any], Flags]  # counts (p, p), and which pixels of it can be used
 
@@ -35,7 +36,7 @@ class GlintGeometry:
         # That limit would cut the glint of a small ball: its window follows the glint.
         self.is_small = self.is_bounded and on_body < widths
         self.limit = min(self.profile_clear, widths) if self.is_small else on_body
-        fastest = view.settings.link.max_speed_m_s
+        fastest = view.settings.link.max_speed_m_s or USUAL_SPEED_M_S
         travel = fastest * camera.effective_exposure / camera.scale if camera.metric else 4.0
         # Half width of a patch: it holds the window of the fastest ball, whichever way it moves.
         self.reach = self.half + math.ceil(min(travel, 60.0) / 2.0) + 1

@@ -11,6 +11,7 @@ from synthcam_shared.arrays import Ints
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.detection.glints import Glints
+from tracker.detection.link import find_reach
 from tracker.settings import LinkSettings
 
 
@@ -22,7 +23,7 @@ class Laptrack:
             package: Any = importlib.import_module("laptrack")
         except ImportError:
             raise InputError("linker laptrack: laptrack is not installed, expected pip install laptrack") from None
-        reach = max(settings.max_speed_m_s / camera.fps / camera.scale, camera.diameter_px)
+        reach = max(find_reach(camera, settings), camera.diameter_px)
         self.tracker = package.LapTrack(
             cutoff=reach**2, gap_closing_cutoff=(2 * reach) ** 2, gap_closing_max_frame_count=settings.max_gap_frames
         )
