@@ -193,6 +193,11 @@ def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout) -> tuple[st
         if after[0] < before[1] and "pixels" in (before[2], after[2]):
             raise InputError(f"{path}: damaged, {before[2]} and {after[2]} lie at the same bytes, from {after[0]} on")
     notes = list[str]()
+    if layout.offset is not None and 1 < len(tif.pages) < layout.total:  # one page for all frames is ordinary
+        notes.append(
+            f"{len(tif.pages)} pages, but the metadata declare {layout.total} frames: all of them are read;"
+            " if the film is not right, write the stack again"
+        )
     if len(set(frames)) < len(frames):
         notes.append(f"{len(frames) - len(set(frames))} pages have the pixels of another page; is the file damaged?")
     ends, starts = (0, *(last for _, last, _ in spans)), (*(first for first, _, _ in spans), path.stat().st_size)

@@ -103,6 +103,33 @@ def test_a_stack_in_several_files_is_no_damaged_one(tmp_path):
     assert notes == ()
 
 
+@pytest.mark.parametrize(("first", "next_one"), [(10, 20), (1, 59), (59, None)])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_stack_whose_chain_of_pages_skips_frames_says_so(first, next_one, order, tmp_path):
+    """The frames lie one after the other, so that the description of an ImageJ stack is enough to read all of them."""
+    path, film = tmp_path / "stack.tif", np.resize(MOVIE, (60, 24, 32)) + np.arange(60, dtype=np.uint16)[:, None, None]
+    tifffile.imwrite(path, film, photometric="minisblack", imagej=True, byteorder=order)
+    with tifffile.TiffFile(path) as tif:
+        offsets = [page.offset for page in tif.pages]
+    whole = bytearray(path.read_bytes())
+    (tags,) = struct.unpack_from(f"{order}H", whole, offsets[first - 1])
+    after = 0 if next_one is None else offsets[next_one]
+    struct.pack_into(f"{order}I", whole, offsets[first - 1] + 2 + 12 * tags, after)
+    path.write_bytes(whole)
+    got, notes = read(path)
+    assert np.array_equal(got, film)
+    pages = first if next_one is None else first + 60 - next_one
+    assert f"{pages} pages, but the metadata declare 60 frames" in "".join(notes)
+
+
+def test_a_stack_of_one_page_for_all_frames_is_ordinary(tmp_path):
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, MOVIE, photometric="minisblack", truncate=True)
+    film, notes = read(path)
+    assert np.array_equal(film, MOVIE)
+    assert notes == ()
+
+
 def test_dark_frames_that_take_few_bytes_have_lost_none(tmp_path):
     """A frame takes 20 bytes, and the program left 24 bytes free between its tags."""
     path = tmp_path / "dark.tif"
@@ -136,3 +163,33 @@ def test_of_pages_with_the_same_tags_few_are_parsed_and_any_other_is(kind, tmp_p
     path.write_bytes(whole)
     with pytest.raises(InputError, match="damaged"):
         read(path)
+
+
+@pytest.mark.parametrize("kind", ["ImageJ", "plain", "large", "big-endian"])
+def test_a_late_page_with_another_value_of_a_tag_is_read_too(kind, tmp_path):
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, np.resize(MOVIE, (60, 24, 32)), photometric="minisblack", **KINDS[kind])
+    with tifffile.TiffFile(path) as tif:
+        tag, order = tif.pages[50].tags["Compression"], tif.byteorder
+    whole = bytearray(path.read_bytes())
+    struct.pack_into(f"{order}H", whole, tag.valueoffset, 3)  # a fax, of black and white pixels
+    path.write_bytes(whole)
+    with pytest.raises(InputError, match="16 bits, compressed as black and white"):
+        read(path)
+
+
+def test_a_late_page_with_another_value_that_lies_apart_from_its_tag_is_read_too(tmp_path, monkeypatch):
+    path, parsed, parse = tmp_path / "stack.tif", [], tifffile.TiffPage.__init__
+    tifffile.imwrite(path, np.zeros((60, 24, 32, 3), np.uint8), photometric="rgb")
+    with tifffile.TiffFile(path) as tif:
+        tag = tif.pages[50].tags["BitsPerSample"]
+    monkeypatch.setattr(tifffile.TiffPage, "__init__", lambda self, *a, **k: parsed.append(0) or parse(self, *a, **k))
+    whole = bytearray(path.read_bytes())
+    struct.pack_into("<I", whole, tag.offset + 8, len(whole))
+    counts = []
+    for bits in (8, 16):
+        path.write_bytes(whole + struct.pack("<3H", bits, bits, bits))
+        parsed.clear()
+        read(path)
+        counts.append(len(parsed))
+    assert counts[1] == counts[0] + 1
