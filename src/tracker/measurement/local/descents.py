@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 from itertools import groupby
 from typing import NamedTuple, TypeAlias, TypeVar
 
@@ -18,7 +19,7 @@ import numpy as np
 from synthcam_shared.arrays import Array, Ints
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.local_problem import LocalProblem, LocalSolution
-from tracker.measurement.local.stretches import Stretch, evaluate_path
+from tracker.measurement.local.stretches import MotionKind, Stretch, evaluate_path
 
 Found = TypeVar("Found")
 
@@ -154,11 +155,18 @@ def _read_solutions(stack: ProblemStack, x: Array, cost: Array, square: Array) -
     free = np.diagonal(square, axis1=1, axis2=2) == 0  # the direction of a slide that no position shows: any
     unit[:, each, each] += free
     volume = -np.linalg.slogdet(unit)[1] / 2 - np.log(np.where(free, 0.55, size)).sum(axis=1)
-    residuals, freedoms, known = stack.weigh_positions(x, cov)
-    out, numbers = list[LocalSolution](), np.column_stack([cost, known, volume]).tolist()
-    for i, (problem, own) in enumerate(zip(stack.problems, stack.present, strict=True)):
-        sizes, left, freedom = tuple(stack.sizes[i].tolist()), residuals[i][own], freedoms[i][own]
-        out.append(LocalSolution(problem, x[i], cov[i], sizes, left, freedom, *numbers[i]))
+
+    @cache
+    def weigh_all() -> tuple[Array, Array, Array]:
+        return stack.weigh_positions(x, cov)
+
+    def weigh(i: int) -> tuple[Array, Array, float]:
+        residuals, freedoms, known = weigh_all()
+        return residuals[i][stack.present[i]], freedoms[i][stack.present[i]], float(known[i])
+
+    out, numbers = list[LocalSolution](), np.column_stack([cost, volume]).tolist()
+    for i, (problem, sizes) in enumerate(zip(stack.problems, stack.sizes.tolist(), strict=True)):
+        out.append(LocalSolution(problem, x[i], cov[i], tuple(sizes), *numbers[i], weigh=partial(weigh, i)))
     return out
 
 
@@ -169,8 +177,9 @@ def follow_displacements(solution: LocalSolution, moved: Sequence[Array]) -> Arr
     """
     problem, alone = solution.problem, np.zeros(1, dtype=np.int64)
     stack, pull = ProblemStack([problem], np.array([solution.sizes])), np.zeros((len(moved[0]), problem.size))
-    for k, (rows, columns) in enumerate(stack.parts):
-        by = stack._whiten_stretch(solution.x[None], alone, k)[0, rows[1:]]
+    for k, white in enumerate(stack._whiten_stretches(solution.x[None], alone)):
+        rows, columns = stack.parts[k]
+        by = white[0, rows[1:]]
         pull[:, columns] += problem.stretches[k].whiten(moved[k]) / solution.sizes[k] @ by.T
     return np.asarray(pull @ solution.cov)
 
@@ -243,6 +252,8 @@ class ProblemStack:
         present = [np.arange(2 * side.time.shape[1]) < 2 * lengths[:, k, None] for k, side in enumerate(self.sides)]
         self.present = np.concatenate(present, axis=1)  # (m, 2n) whether a coordinate is one of the problem
         self.parts = [_list_parameters(self.one, k) for k in range(len(self.sides))]
+        self.groups = _group_stretches(self.one)
+        self.times = [_stack_times([self.sides[k].time for k in group]) for group in self.groups]  # (h, g, n) s
         self.spans = np.array([p.spans for p in problems])
         motions = list(enumerate(self.one.motions))
         self.taus = np.array([self.one.start[k] + 6 for k, motion in motions if motion.ends], dtype=np.int64)
@@ -282,8 +293,7 @@ class ProblemStack:
         curved = by[:, : self.curved]  # the other rows are always the same
         square = self.square_of_known[which] + np.swapaxes(curved, 1, 2) @ curved
         cost, pull = (known**2).sum(axis=1), (known[:, None] @ by)[:, 0]
-        for k, (rows, columns) in enumerate(self.parts):
-            white = self._whiten_stretch(x, which, k)
+        for (rows, columns), white in zip(self.parts, self._whiten_stretches(x, which), strict=True):
             own = (white @ np.swapaxes(white, 1, 2))[:, rows[:, None], rows]
             cost += own[:, 0, 0]
             pull[:, columns] += own[:, 1:, 0]
@@ -293,36 +303,51 @@ class ProblemStack:
     def weigh_positions(self, x: Array, cov: Array) -> tuple[Array, Array, Array]:
         """Whitened residuals (m, 2n) of all problems, their degrees of freedom, and the cost (m,) of what is known."""
         which, residuals, freedoms = np.arange(len(x)), list[Array](), list[Array]()
-        for k, (rows, columns) in enumerate(self.parts):
-            white = self._whiten_stretch(x, which, k)[:, rows]
-            by = white[:, 1:]
+        for (rows, columns), white in zip(self.parts, self._whiten_stretches(x, which), strict=True):
+            by = white[:, rows[1:]]
             residuals.append(white[:, 0])
             freedoms.append(1 - (by * (cov[:, columns[:, None], columns] @ by)).sum(axis=1))
         known, _ = self._weigh_known(x, which)
         return np.concatenate(residuals, axis=1), np.concatenate(freedoms, axis=1), (known**2).sum(axis=1)
 
-    def _whiten_stretch(self, x: Array, which: Ints, k: int) -> Array:
-        """Whitened residuals of a stretch, and their derivatives by its own parameters and by the instant.
+    def _whiten_stretches(self, x: Array, which: Ints) -> list[Array]:
+        """Whitened residuals of each stretch, and their derivatives by its own parameters and by the instant.
 
-        Returns (m, 1 + size + 1, 2n), in that order.
+        Returns (m, 1 + size + 1, 2n) for each, in that order.
         """
-        one, side, hits, span = self.one, self.sides[k], self.hit[which], self.spans[which, k]
-        own = one.values(x, k, span)
-        path, slope = evaluate_path(one.motions[k], own, side.time[hits] - x[:, :1], one.stretches[k].after)
-        if one.slides_first(k):
-            lasts = np.exp(own[:, 6])
-            tau, by_v = np.minimum(lasts, span)[:, None, None, None], slope[:, 2:4].copy()
-            slope[:, 4:6] -= tau * by_v
-            ends = tau[:, 0] * (lasts < span)[:, None, None]
-            slope[:, 6] -= ends * (own[:, 4, None, None] * by_v[:, 0] + own[:, 5, None, None] * by_v[:, 1])
-        if one.rubs(k):
-            ax, ay = own[:, 4, None, None], own[:, 5, None, None]
-            along = ax * slope[:, 4] + ay * slope[:, 5]
-            slope[:, 5] = ax * slope[:, 5] - ay * slope[:, 4]
-            slope[:, 4] = along
-        white = side.whiten(np.concatenate([(path - side.position[hits])[:, None], slope], axis=1), hits)
-        white /= self.sizes[which, k, None, None]
-        return white
+        out, hits = dict[int, Array](), self.hit[which]
+        for group, time in zip(self.groups, self.times, strict=True):
+            path, slope = self._evaluate_paths(x, which, group, time[hits])
+            for number, k in enumerate(group):
+                side = self.sides[k]
+                n = side.time.shape[1]
+                off = (path[:, number, :n] - side.position[hits])[:, None]
+                white = side.whiten(np.concatenate([off, slope[:, number, :, :n]], axis=1), hits)
+                white /= self.sizes[which, k, None, None]
+                out[k] = white
+        return [out[k] for k in range(len(self.sides))]
+
+    def _evaluate_paths(self, x: Array, which: Ints, group: Sequence[int], time: Array) -> tuple[Array, Array]:
+        """Paths (m, g, n, 2) of stretches of one motion at times (m, g, n), s, and derivatives (m, g, size + 1, n, 2).
+
+        At once, because most of the time is that of numpy's calls.
+        """
+        one, span = self.one, self.spans[which][:, group]
+        own = np.stack([one.values(x, k, span[:, number]) for number, k in enumerate(group)], axis=1)
+        path, slope = evaluate_path(one.motions[group[0]], own, time - x[:, :1, None], one.stretches[group[0]].after)
+        if one.slides_first(group[0]):
+            lasts = np.exp(own[..., 6])
+            tau, by_v = np.minimum(lasts, span)[..., None, None, None], slope[:, :, 2:4].copy()
+            slope[:, :, 4:6] -= tau * by_v
+            ends = tau[:, :, 0] * (lasts < span)[..., None, None]
+            turned = own[..., 4, None, None] * by_v[:, :, 0] + own[..., 5, None, None] * by_v[:, :, 1]
+            slope[:, :, 6] -= ends * turned
+        if one.rubs(group[0]):
+            ax, ay = own[..., 4, None, None], own[..., 5, None, None]
+            along = ax * slope[:, :, 4] + ay * slope[:, :, 5]
+            slope[:, :, 5] = ax * slope[:, :, 5] - ay * slope[:, :, 4]
+            slope[:, :, 4] = along
+        return path, slope
 
     def _weigh_known(self, x: Array, which: Ints) -> tuple[Array, Array]:
         """Residuals (m, rows) of what is known, and their derivatives (m, rows, n)."""
@@ -419,8 +444,22 @@ def _turn_between(angle: Array, other: Array) -> Array:
     return np.asarray((angle - other + np.pi) % (2 * np.pi) - np.pi)
 
 
+def _group_stretches(problem: LocalProblem) -> list[list[int]]:
+    """Numbers of the stretches whose paths are evaluated together: those of one motion on one side of the contact."""
+    groups = dict[tuple[MotionKind, bool], list[int]]()
+    for k, (stretch, motion) in enumerate(zip(problem.stretches, problem.motions, strict=True)):
+        groups.setdefault((motion, stretch.after), []).append(k)
+    return list(groups.values())
+
+
+def _stack_times(times: Sequence[Array]) -> Array:
+    """Times (h, g, n) of g sides of h hits; those of a shorter side are followed by copies of its last time."""
+    most = max(time.shape[1] for time in times)
+    return np.stack([time[:, np.minimum(np.arange(most), time.shape[1] - 1)] for time in times], axis=1)
+
+
 def _list_parameters(problem: LocalProblem, k: int) -> tuple[Ints, Ints]:
-    """The rows of `_whiten_stretch` of a stretch that count, and the parameters to which all but the first belong.
+    """The rows of `_whiten_stretches` of a stretch that count, and the parameters to which all but the first belong.
 
     A row counts twice if its derivative is also that by a parameter which stretches share.
     """

@@ -10,7 +10,7 @@ Weak knowledge keeps short stretches regular, as rows of the least squares:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -275,18 +275,35 @@ class LocalSolution:
     x: Array
     cov: Array
     sizes: tuple[float, ...]  # of the errors of each stretch, over the claimed ones
-    residual: Array  # (2n,) of all positions
-    freedom: Array  # (2n,) degrees of freedom of each residual
     cost: float  # chi^2 with what is known
-    cost_of_known: float
     log_volume: float  # logarithm of the volume of the errors: half that of the determinant of cov
+    weigh: Callable[[], tuple[Array, Array, float]]  # the next three, which many solutions never need
 
     @property
+    def residual(self) -> Array:
+        """Whitened residuals (2n,) of all positions."""
+        return self._weighed[0]
+
+    @property
+    def freedom(self) -> Array:
+        """Degrees of freedom (2n,) of each residual."""
+        return self._weighed[1]
+
+    @property
+    def cost_of_known(self) -> float:
+        """The part of the cost that is not of positions."""
+        return self._weighed[2]
+
+    @cached_property
+    def _weighed(self) -> tuple[Array, Array, float]:
+        return self.weigh()
+
+    @cached_property
     def chi2(self) -> float:
         """Sum of squared residuals."""
         return float((self.residual[self.problem.counted] ** 2).sum())
 
-    @property
+    @cached_property
     def dof(self) -> float:
         """Degrees of freedom."""
         return max(float(self.freedom[self.problem.counted].sum()), 0.5)
@@ -297,7 +314,7 @@ class LocalSolution:
         usual = abs(self.chi2 - self.dof) < 3 * float(np.sqrt(2 * self.dof))
         return usual and self.cost_of_known < 15
 
-    @property
+    @cached_property
     def log_evidence(self) -> float:
         """Logarithm of the probability of the positions by the motions of the problem, but for a constant."""
         density = self.problem.find_log_density_of_slips(self.x)
