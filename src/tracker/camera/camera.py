@@ -251,11 +251,14 @@ class Camera:
         middle = self._at_ball_height(np.asarray(centres, dtype=np.float64))
         return self.project(middle + self.radius * self._glint_normal(middle))
 
-    def _glint_normal(self, middle: Array, start: Array | None = None) -> Array:
-        """Unit normals (..., 3) of balls about positions (..., 3), m, where they mirror the lamp. start: near them."""
+    def _glint_normal(self, middle: Array, start: Array | None = None, steps: int = 20) -> Array:
+        """Unit normals (..., 3) of balls about positions (..., 3), m, where they mirror the lamp.
+
+        start: near them. steps: from there, at most.
+        """
         if self.lamp is None:
             raise InputError("camera: lamp is missing, expected its position for the position of a glint")
-        return find_mirror_normal(middle, self.radius, self.position, np.array(self.lamp.position), start)
+        return find_mirror_normal(middle, self.radius, self.position, np.array(self.lamp.position), start, steps)
 
     def centre_of_glint(self, glints: ArrayLike) -> tuple[Array, Array]:
         """Convert the pixels of glints to those of the balls' centres.
@@ -294,9 +297,9 @@ class Camera:
         """
         at = target = self._on_plane(glints, self.radius)[0]
         normal = None
-        for _ in range(12):  # contracts by about R/height, .003, a step
+        for _ in range(40):  # both the place and the normal contract by about R/height, .003, a step
             middle = self._at_ball_height(at)
-            normal = self._glint_normal(middle, normal)
+            normal = self._glint_normal(middle, normal, steps=1)
             point = middle + self.radius * normal
             # the eye's ray through the glint meets the plane of the centres there
             share = (self.radius - point[..., 2:]) / (self.position[2] - point[..., 2:])

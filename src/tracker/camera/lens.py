@@ -5,14 +5,16 @@ import numpy as np
 from synthcam_shared.arrays import Array
 
 
-def find_mirror_normal(centres: Array, radius: float, eye: Array, light: Array, start: Array | None = None) -> Array:
+def find_mirror_normal(
+    centres: Array, radius: float, eye: Array, light: Array, start: Array | None = None, steps: int = 20
+) -> Array:
     """Unit normals (n, 3) of spheres (n, 3) at which an eye sees a point of light.
 
-    The normal halves the angle between the directions to light and eye. It is iterated from upright or from `start`,
-    because these directions start on the surface.
+    The normal halves the angle between the directions to light and eye. It is iterated from upright or from `start`, in
+    so many steps at most, because these directions start on the surface.
     """
     normal = np.broadcast_to([0.0, 0.0, 1.0], centres.shape) if start is None else start
-    for _ in range(20):
+    for _ in range(steps):
         point = centres + radius * normal
         fresh = _unit(_unit(eye - point) + _unit(light - point))
         change = float(np.max(np.abs(fresh - normal), initial=0.0))

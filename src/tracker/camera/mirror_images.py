@@ -42,19 +42,23 @@ def secondary_flux_ratio(camera: Camera, glints: ArrayLike, others: ArrayLike) -
     as of `locate_secondary_glints`.
     """
     middle, other, lamp = _find_pairs(camera, glints, others)
-    moved = [lamp, *(lamp + 0.03 * lamp[2] * axis for axis in np.eye(3)[:2])]
+    lights = np.repeat(lamp + 0.03 * lamp[2] * np.eye(3)[[2, 0, 1]] * [1, 1, 0], len(middle), axis=0)
+    middle, other = (
+        np.tile(middle, (3, 1)),
+        np.tile(other, (3, 1)),
+    )  # at once: most of the time is that of numpy's calls
     areas = []
-    for normals in (
-        [find_secondary_mirror_normal(middle, other, camera.radius, camera.position, light) for light in moved],
-        [find_mirror_normal(middle, camera.radius, camera.position, light) for light in moved],
+    for normal in (
+        find_secondary_mirror_normal(middle, other, camera.radius, camera.position, lights),
+        find_mirror_normal(middle, camera.radius, camera.position, lights),
     ):
-        still, by_x, by_y = (camera.project(middle + camera.radius * normal) for normal in normals)
+        still, by_x, by_y = camera.project(middle + camera.radius * normal).reshape(3, -1, 2)
         areas.append(np.abs(np.linalg.det(np.stack([by_x - still, by_y - still], axis=-1))))
     return np.asarray(areas[0] / areas[1], dtype=np.float64)
 
 
 def _find_pairs(camera: Camera, glints: ArrayLike, others: ArrayLike) -> tuple[Array, Array, Array]:
     """Centres (n, 3) of balls and of their neighbours, and the position (3,) of the lamp, m."""
-    middle, other = camera.ball_of_glint(glints), camera.ball_of_glint(others)
+    middle, other = camera.ball_of_glint(np.stack([glints, others]))
     assert camera.lamp is not None  # `ball_of_glint` refuses a camera without one
     return middle, other, np.array(camera.lamp.position, dtype=np.float64)

@@ -30,8 +30,8 @@ class BallProfile:
         if not blur.any():
             return self._height(middle, half)
         node = 0.5 / np.sqrt(3.0)  # of the blur, on either side of its middle: Gauss-Legendre with two nodes
-        one, two = (self._height(middle + side * blur, half) for side in (node, -node))
-        height, by_x, by_y = ((a + b) / 2.0 for a, b in zip(one, two, strict=True))
+        both = self._height(np.concatenate([middle + node * blur, middle - node * blur]), half)
+        height, by_x, by_y = ((part[: len(middle)] + part[len(middle) :]) / 2.0 for part in both)
         return height, by_x, by_y
 
     def _height(self, middle: Array, half: int) -> tuple[Array, Array, Array]:

@@ -90,13 +90,14 @@ class DsnuEstimator:
         if self.frames < MIN_FRAMES:
             return np.full(np.broadcast_shapes(rows.shape, columns.shape), np.nan), spread
         seen = self.frames - self.hidden
-        hollow = seen < 0.25 * self.frames
         if self.bytes is not None:
             self.bytes.empty_into(self.sums)
         mean = self.sums / np.maximum(seen, 1.0)
         if self.bytes is not None and not self.bytes.is_dark:
             mean += self.bytes.floor
-        mean[hollow] = self.plate.level[hollow]
+        hollow = seen < 0.25 * self.frames
+        if hollow.any():
+            mean[hollow] = self.plate.level[hollow]
         mean.ravel()[self.plate.hot] = self.plate.level.ravel()[self.plate.hot - 1]  # hot pixels stand alone
         mean -= cv2.blur(mean, (SURROUNDINGS_PX, SURROUNDINGS_PX))
         whole = max(_variance(mean[:: SURROUNDINGS_PX // 2, :: SURROUNDINGS_PX // 2].astype(np.float64)), 1e-12)

@@ -164,10 +164,10 @@ def _read_solutions(stack: ProblemStack, x: Array, cost: Array, square: Array) -
         residuals, freedoms, known = weigh_all()
         return residuals[i][stack.present[i]], freedoms[i][stack.present[i]], float(known[i])
 
-    out, numbers = list[LocalSolution](), np.column_stack([cost, volume]).tolist()
-    for i, (problem, sizes) in enumerate(zip(stack.problems, stack.sizes.tolist(), strict=True)):
-        out.append(LocalSolution(problem, x[i], cov[i], tuple(sizes), *numbers[i], weigh=partial(weigh, i)))
-    return out
+    return [
+        LocalSolution(problem, x[i], cov[i], tuple(sizes), float(cost[i]), float(volume[i]), partial(weigh, i))
+        for i, (problem, sizes) in enumerate(zip(stack.problems, stack.sizes.tolist(), strict=True))
+    ]
 
 
 def follow_displacements(solution: LocalSolution, moved: Sequence[Array]) -> Array:
