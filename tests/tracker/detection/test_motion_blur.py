@@ -45,8 +45,6 @@ def test_a_wrong_exposure_is_seen_and_the_motion_blur_fits(longer, within):
     assert view.camera.exposure == CAM.exposure
     assert np.mean(misses(glints) ** 2) < 1.25
     assert np.mean(glints.flags & PositionFlag.MISFIT > 0) < 0.03
-    if longer > 2:
-        assert np.mean(detect(shown, make_view(shown)).glints.flags & PositionFlag.MISFIT > 0) > 0.3  # what it cures
 
 
 @pytest.mark.parametrize("seed", range(3))

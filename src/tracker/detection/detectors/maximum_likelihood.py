@@ -4,6 +4,8 @@ Candidates are collected frame by frame. A block of them is then fitted in two p
 
 1. link the coarse positions to tracks, from which the motion blur follows; learn the ball profile; fit all glints;
 2. fit again where the better velocities change the blur, or where a neighbour adds a secondary glint.
+
+What no blur of a track describes is fitted with that of its own shape.
 """
 
 import math
@@ -23,13 +25,21 @@ from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.likelihood.ball_profile import BallProfile
 from tracker.detection.likelihood.brightness_priors import apply_common_reflectance, apply_flux_prior
 from tracker.detection.likelihood.dsnu import DsnuEstimator
-from tracker.detection.likelihood.glint_fit import GlintFit, GlintWindows, fit_glints, learn_profile, score_blur_length
-from tracker.detection.likelihood.neighbours import find_isolated, find_neighbouring_glints
+from tracker.detection.likelihood.glint_fit import (
+    GlintFit,
+    GlintWindows,
+    fit_blurs,
+    fit_glints,
+    learn_profile,
+    score_blur_length,
+)
+from tracker.detection.likelihood.neighbours import Neighbours, find_isolated, find_neighbouring_glints
 from tracker.detection.likelihood.patches import (
     CandidatePatches,
     GlintGeometry,
     Patch,
     cut_patches,
+    estimate_shapes,
     make_windows,
     stack_patches,
 )
@@ -47,6 +57,11 @@ class _BlockFit:
     good: Flags  # which fits are a glint's
     light: Array  # (n, 3): covariance of position and log flux, px, and variance of the log flux
     secondary: Array  # (n, 4): flux of the secondary glint, counts; its covariance with the position; its variance
+
+    def put(self, rows: Ints, other: "_BlockFit", chosen: Any = slice(None)) -> None:
+        """Replace the fits of ``rows`` by the chosen ones of another."""
+        self.glints.put(rows, other.glints.take(chosen))
+        self.light[rows], self.good[rows] = other.light[chosen], other.good[chosen]
 
 
 class MaximumLikelihood:
@@ -140,19 +155,50 @@ class MaximumLikelihood:
         # a change of the blur by .03 widths of the glint shows in its position
         changed = np.max(np.abs(better - blur), axis=1) > 0.03 * self.sigma
         rows = np.flatnonzero(changed | near.is_near | (near.secondary[:, 2] > 0))
+        bowl_of_own |= near.is_near & ~clipped
         if len(rows):
-            bowl_of_own |= near.is_near & ~clipped
-            again = self._fit(patches.take(rows), bowl_of_own[rows], near.secondary[rows])
-            light[rows], good[rows] = again.light, again.good
-            is_open = again.good & ~clipped[rows]
-            _correct_by_reflectance(again.glints, again.secondary, near.flux_ratio[rows], is_open)
-            found.put(rows, again.glints)
+            again = self._fit_beside(patches.take(rows), bowl_of_own[rows], near.take(rows), clipped[rows])
+            first.put(rows, again)
+        if not self.sensor.codec_noise:
+            self._fit_own_blurs(patches, first, near, bowl_of_own, clipped)
         found.flags[near.is_near] |= PositionFlag.NEAR
         found, light = found.take(good), light[good]
         if not clipped.any():  # position and flux of an open glint are hardly correlated
             return found
         xy, cov = apply_flux_prior(found.xy, found.cov, np.log(found.flux), light[:, :2], light[:, 2])
         return replace(found, x=xy[:, 0], y=xy[:, 1], cov=cov)
+
+    def _fit_beside(self, patches: CandidatePatches, bowl_of_own: Flags, near: Neighbours, clipped: Flags) -> _BlockFit:
+        """Fit glints with the secondary glints that their neighbours add."""
+        fit = self._fit(patches, bowl_of_own, near.secondary)
+        _correct_by_reflectance(fit.glints, fit.secondary, near.flux_ratio, fit.good & ~clipped)
+        return fit
+
+    def _fit_own_blurs(
+        self, patches: CandidatePatches, fit: _BlockFit, near: Neighbours, bowl_of_own: Flags, clipped: Flags
+    ) -> None:
+        """Fit misfits, and candidates that seem no glints, with the blurs of their own shapes; `fit` gets better ones.
+
+        The tracks give a wrong blur where a ball is hit or lost. If it is hit during the exposure, its path is bent.
+        The middle of a straight line fitted to it is the mean position during the exposure, as elsewhere.
+        """
+        rows = np.flatnonzero(~clipped & (~fit.good | ((fit.glints.flags & PositionFlag.MISFIT) > 0)))
+        if len(rows) == 0:
+            return
+        smeared, flux, background = estimate_shapes(patches.take(rows), self.sigma)
+        half = int(self.geometry.half_of_blur(smeared.blur).max())
+        windows, origin = make_windows(self.geometry, smeared, half, with_profile=False)
+        known = np.column_stack([smeared.position - origin, np.log(flux), background])
+        blur = fit_blurs(windows, known, self.sigma, self.sensor)
+        in_patch = np.hypot(*blur.T) < 2.0 * self.geometry.reach
+        smeared = replace(smeared, blur=np.where(in_patch[:, None], blur, smeared.blur))
+        again = self._fit_beside(smeared, bowl_of_own[rows], near.take(rows), clipped[rows])
+        # What seemed no glint may be a ball's, if it is long and not faint as reflections are.
+        typical = np.median(fit.glints.flux[fit.good] if fit.good.any() else again.glints.flux)
+        long, bright = np.hypot(*smeared.blur.T) > 2.0 * self.sigma, again.glints.flux > 0.25 * typical
+        chosen = again.good & _fits_better(again.glints, fit.glints.take(rows), fit.good[rows])
+        chosen &= fit.good[rows] | (long & bright)
+        fit.put(rows[chosen], again, chosen)
 
     def _subtract_offsets(self, patches: CandidatePatches) -> CandidatePatches:
         """The patches without the fixed offsets of their pixels, where these are known all over a patch."""
@@ -258,6 +304,12 @@ def _rough_glints(patches: CandidatePatches) -> Glints:
     """Candidates as glints at their first positions, with a covariance that the fit will replace."""
     x, y = patches.position.T.copy()
     return replace(Glints.at(x, y, 1.0, patches.strength), frame=patches.frame)
+
+
+def _fits_better(new: Glints, old: Glints, was_good: Flags) -> Flags:
+    """Tell which fits (n,) describe the pixels, or halve the chi^2 of misfits."""
+    area = [np.linalg.det(one.cov) for one in (new, old)]  # of a misfit it grows with the square of chi^2
+    return np.asarray(((new.flags & PositionFlag.MISFIT) == 0) | (was_good & (area[0] < area[1] / 4)))
 
 
 def _correct_by_reflectance(found: Glints, second: Array, ratio: Array, is_open: Flags) -> None:

@@ -8,7 +8,7 @@ scoring), whose inverse is the covariance.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -256,6 +256,30 @@ def score_blur_length(
     whole = left.sum(axis=0)
     by = np.append(-np.linalg.solve(whole[:2, :2], whole[:2, 2]), 1.0)
     return score @ by, np.einsum("i,nij,j->n", by, left, by)
+
+
+def fit_blurs(windows: GlintWindows, known: Array, sigma: float, sensor: SensorSpec) -> Array:
+    """Fit the blurs (n, 2), px, of glints of width `sigma`, px, together with position, flux, level and bowl.
+
+    windows: with the blurs to begin from, which are not zero. known: (n, 4), as of `score_blur_length`.
+    """
+    max_steps, tolerance = 8, 0.01  # px
+    nudge, limit = 0.05 * sigma, np.append(_step_limits(sigma), [1.5 * sigma] * 2)
+    theta, blur = np.column_stack([known, np.zeros(len(windows))]), windows.blur.copy()
+    for _ in range(max_steps):
+        own = replace(windows, blur=blur)
+        mean, parts = _model(theta, own, sigma, None, room=2)
+        for axis, shift in enumerate(nudge * np.eye(2)):
+            less, more = (compute_glint_shape(theta[:, :2], blur + by, sigma, own.half).value for by in (-shift, shift))
+            parts[:, 5 + axis] = np.exp(theta[:, 2])[:, None, None] * (more - less) / (2.0 * nudge)
+        seen = _compare(own, mean, parts, sensor)
+        step = np.linalg.solve(seen.info, seen.slope[..., None])[..., 0]
+        bounded = [0, 1, 2, 5, 6]
+        step[:, bounded] = np.clip(step[:, bounded], -limit, limit)
+        theta, blur = _clip_parameters(theta + step[:, :5], own.half), blur + step[:, 5:]
+        if np.max(np.abs(step[:, 5:])) < tolerance:
+            break
+    return blur
 
 
 def _bends(theta: Array, windows: GlintWindows, sigma: float) -> tuple[Array, Array, Array]:

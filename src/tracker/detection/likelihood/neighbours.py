@@ -12,11 +12,11 @@ from scipy.spatial import cKDTree
 from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.camera import Camera
 from tracker.camera.mirror_images import locate_secondary_glints, secondary_flux_ratio
-from tracker.detection.glints import Glints
+from tracker.detection.glints import Glints, RowArrays
 
 
 @dataclass(frozen=True, eq=False)
-class Neighbours:
+class Neighbours(RowArrays):
     """The nearest other ball of each of n glints, and the secondary glint that it makes."""
 
     is_near: Flags  # the other ball is so near, 1.5 diameters, that it alters the profile of the glint

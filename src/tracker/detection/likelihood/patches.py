@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -121,6 +121,31 @@ def make_windows(
         used *= _on_body(start + bowl, blur, half, limit)
     secondaries = np.zeros((len(position), 0, 3))
     return GlintWindows(counts, used, start, blur, bowl, secondaries), origin
+
+
+def estimate_shapes(patches: CandidatePatches, sigma: float) -> tuple[CandidatePatches, Array, Array]:
+    """Estimate how glints are smeared, from the second moments of their bright pixels.
+
+    sigma: width of a glint at rest, px.
+    Returns the patches with blurs, which are never zero, and positions; their fluxes and backgrounds (n,), counts.
+    """
+    bright_share = 0.25  # of the brightest pixel, from which on a pixel counts
+    half = patches.counts.shape[1] // 2
+    core, span = slice(half - 2, half + 3), np.arange(-half, half + 1.0)
+    background = np.median(patches.counts.reshape(len(patches), -1), axis=1)
+    risen = np.where(patches.inside, patches.counts - background[:, None, None], 0.0)
+    weight = np.where(risen > bright_share * risen[:, core, core].max(axis=(1, 2), keepdims=True), risen, 0.0)
+    flux = np.maximum(weight.sum(axis=(1, 2)), 1.0)
+    weight /= flux[:, None, None]
+    by_axis = np.stack([weight.sum(axis=1), weight.sum(axis=2)], axis=1)  # (n, axis, pixel)
+    middle = by_axis @ span
+    off = span - middle[..., None]
+    moments = np.einsum("nij,ni,nj->n", weight, off[:, 1], off[:, 0])[:, None, None] * (1 - np.eye(2))
+    moments += ((by_axis * off**2).sum(axis=2) - 0.8 * sigma**2)[..., None] * np.eye(2)  # bright pixels are narrower
+    spread, axes = np.linalg.eigh(moments)
+    length = np.sqrt(12.0 * np.maximum(spread[:, 1], 0.04 * sigma**2))  # of an even line
+    position = np.column_stack([patches.column, patches.row]) + middle
+    return replace(patches, blur=axes[:, :, 1] * length[:, None], position=position), flux, background
 
 
 def _on_body(middle: Array, blur: Array, half: int, limit: float) -> Array:
