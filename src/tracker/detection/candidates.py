@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.arrays import Array, Ints
-from tracker.camera.frames import spread_frames
+from tracker.camera.frames import Frames, spread_frames
 from tracker.settings import DetectionSettings
 
 ROUNDING_NOISE_COUNTS = 0.29  # standard deviation of rounding to whole counts, 1/sqrt(12)
@@ -24,6 +25,7 @@ MEDIAN_OF_NINE = (
 )  # fmt: skip
 MAX_FITTED = 64  # candidates of a frame; maximum likelihood takes minutes for more
 MAX_FOLLOWED = 512  # of a frame, by centroids and linear fits
+_SAMPLED = WeakKeyDictionary[Frames, tuple[NDArray[Any], float]]()
 RAISED_SHARE = 0.01  # of the pixels over the threshold, from which the plate itself may have become lighter
 
 
@@ -43,9 +45,8 @@ def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
     The median of the nine contains no moving ball. A ball at rest stays in the median. Its brightness
     above its surroundings reveals it. The smooth part of the plate, a median over about 60 px, replaces it.
     """
-    sample = [np.array(frames[k]) for k in spread_frames(frames)]
-    noise = estimate_pixel_noise(sample)
-    middle = median_of_nine(sample)
+    middle, noise = sample_plate(frames)
+    middle = middle.copy()
     smooth = _smooth(middle)
     over = np.asarray(cv2.subtract(middle, smooth, dtype=cv2.CV_32F), dtype=np.float32)
     risen = over >= 4.0 * noise / 3.0 + 1.0
@@ -56,6 +57,20 @@ def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
     middle.ravel()[wide] = np.rint(smooth.ravel()[wide]).astype(middle.dtype)
     middle.ravel()[hot] = kept
     return EmptyPlate(middle, noise, hot)
+
+
+def sample_plate(frames: Sequence[Any]) -> tuple[NDArray[Any], float]:
+    """The median of nine frames spread over a film, and the noise of a pixel. The choice of a detector asks first."""
+    known = _SAMPLED.get(frames) if isinstance(frames, Frames) else None
+    if known is not None:
+        return known
+    sample = [np.array(frames[k]) for k in spread_frames(frames)]
+    noise = estimate_pixel_noise(sample)
+    found = median_of_nine(sample), noise
+    if isinstance(frames, Frames):
+        found[0].flags.writeable = False
+        _SAMPLED[frames] = found
+    return found
 
 
 def _find_hot_pixels(over: NDArray[np.float32], risen: Ints, noise: float) -> Ints:

@@ -19,7 +19,13 @@ from tracker.camera.frames import GREY, Frames, pick_spread, spread_frames
 from tracker.camera.recordings import Recording
 from tracker.detection.background.still_background import estimate_still_background
 from tracker.detection.background.windows import find_regions
-from tracker.detection.candidates import MAX_FITTED, MAX_FOLLOWED, estimate_pixel_noise, median_of_nine
+from tracker.detection.candidates import (
+    MAX_FITTED,
+    MAX_FOLLOWED,
+    estimate_pixel_noise,
+    median_of_nine,
+    sample_plate,
+)
 from tracker.detection.outlines.contrast_regions import find_touching_discs
 
 GLINTS, DISCS, MANY_GLINTS = "maximum_likelihood", "discs", "linear_fit"
@@ -51,17 +57,22 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     """
     if isinstance(frames, Frames):
         frames.remember(k for count in (9, 25, 31) for k in spread_frames(frames, count))
-    sample = [np.array(frames[k]) for k in spread_frames(frames)]
-    noise = estimate_pixel_noise(sample)
+    level, noise = sample_plate(frames)
     if noise > 4.0:  # counts; means of 3 x 3 pixels keep half of an encoder's noise
         frames, noise = SmoothedFrames(frames), noise * 0.5
-        sample = [frames[k] for k in spread_frames(frames)]
-    level = median_of_nine(sample)
+        level = median_of_nine([frames[k] for k in spread_frames(frames)])
     picks = pick_spread(range(len(frames)), 25)
     least = _least_contrast(noise)
     expected = camera.diameter_px / 2 if camera.knows_diameter else None
     smallest = max(MIN_BODY_AREA_PX, 0.25 * np.pi * expected**2) if expected else MIN_BODY_AREA_PX
-    if not any(find_regions(cv2.absdiff(np.asarray(frames[k]), level) > math.floor(least), smallest) for k in picks):
+    changed, counts = (cv2.absdiff(np.asarray(frames[k]), level) > math.floor(least) for k in picks), list[int]()
+    for mask in changed:
+        counts.append(int(np.count_nonzero(mask)))
+        if counts[-1] > smallest and find_regions(mask, smallest):
+            break
+    else:
+        if np.median(counts) <= MAX_FITTED:  # so few pixels hold no more specks
+            return GLINTS, ""
         return _choose_for_glints([frames[k] for k in picks], level, least)
     level = estimate_still_background(frames, noise).level
     found = [find_round_bodies(np.asarray(frames[k]), level, least, expected)[:, 0] for k in picks]
@@ -79,8 +90,6 @@ def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
 def _choose_for_glints(sample: Sequence[Any], level: NDArray[Any], least: float) -> tuple[str, str]:
     """Maximum likelihood, or linear fits where a frame shows so many specks that it would take minutes."""
     bright = [cv2.subtract(np.asarray(picture), level) > math.floor(least) for picture in sample]
-    if np.median([np.count_nonzero(spots) for spots in bright]) <= MAX_FITTED:
-        return GLINTS, ""
     # Each speck has a run of pixels in one line at least, and runs are counted much sooner.
     runs = [np.count_nonzero(spots[:, 1:] > spots[:, :-1]) + np.count_nonzero(spots[:, 0]) for spots in bright]
     if np.median(runs) <= MAX_FITTED:
