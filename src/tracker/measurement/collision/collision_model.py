@@ -23,13 +23,14 @@ Source: Painter & Behringer 2000, eqs 1-4, for the head-on case. `tied_to_free` 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam_shared.arrays import Array, Ints
+from synthcam_shared.arrays import Array, Flags, Index, Ints
 
 GRAVITY = 9.81  # m/s^2; only the product mu_k * g shows in a track
 SLIP_RATE = 3.5  # |u| falls at 7/2 mu g: friction slows a sphere by mu g and spins it up by 5/2 mu g
@@ -87,10 +88,6 @@ class RollingMotion:
     area_speed: Array
     area_drag: Array
     area_decel: Array
-
-    def take(self, rows: slice) -> RollingMotion:
-        """The same at some of the times."""
-        return RollingMotion(*(each[rows] for each in vars(self).values()))
 
 
 def roll_freely(speed: float | Array, drag: float, decel: float, t: Array) -> RollingMotion:
@@ -173,86 +170,109 @@ def mean_positions(
         exposure = SHORTEST_EXPOSURE
     n, second = len(start), np.broadcast_to(ball, len(start)) == 2
     since = np.concatenate([start, start + exposure]) - free[0]
-    area, slope = _areas(free, np.concatenate([second, second]).astype(np.int64), since)
-    position, derivative = (area[n:] - area[:n]) / exposure, (slope[:, n:] - slope[:, :n]) / exposure
-    position += free[1:3]
-    derivative[1, :, 0] += 1.0
-    derivative[2, :, 1] += 1.0
-    _, normal, tangent = compute_unit_vectors(free[3], free[4])
-    position -= second[:, None] * (diameter * normal)
-    turn = second[:, None] * (diameter * tangent)
-    derivative[3] -= turn
-    derivative[4] += turn
-    return position, derivative.transpose(1, 2, 0)
+    integrals = _integrate(free, np.concatenate([second, second]).astype(np.int64), since)
+    mean = (integrals[:, n:] - integrals[:, :n]) / exposure
+    directions, normal, tangent = compute_unit_vectors(free[3], free[4])
+    own = second[:, None].astype(np.float64)
+    position = mean[_PATH] + free[1:3] - own * (diameter * normal)
+    slope, v0, d = np.zeros((len(FREE), n, 2)), free[5], np.asarray(directions, dtype=np.float64)
+    slope[0], slope[6], slope[7] = mean[_CONTACT], mean[_DRAG], mean[_DECEL]
+    slope[1, :, 0] = slope[2, :, 1] = 1.0
+    turn = own * (diameter * tangent)
+    launched_x, launched_y = mean[_TARGET_X] * own, mean[_TARGET_Y] * own
+    slope[3] = v0 * (launched_y * d[0] - launched_x * d[1]) - turn
+    slope[4] = turn
+    slope[5] = launched_x * d[0] + launched_y * d[1]
+    for rows, at in zip(_find_rows_of_balls(second), AFTER.values(), strict=True):
+        slope[at, rows, 0] = slope[at + 1, rows, 1] = mean[_START, rows, 0]
+        slope[at + 2, rows], slope[at + 3, rows] = mean[_FINAL_X, rows], mean[_FINAL_Y, rows]
+        slope[at + 4, rows] = mean[_TAU, rows]
+    if len(mean) > _PULL:
+        slope[_SLIDING], slope[_SLIDING + 1] = mean[_PULL], mean[_PULL + 1]
+    slope[-2], slope[-1] = mean[_TARGET_X], mean[_TARGET_Y]
+    return position, slope.transpose(1, 2, 0)
 
 
-def _areas(free: Array, second: Ints, since: Array) -> tuple[Array, Array]:
-    """Integral over time, from t_c, of the displacement since t_c; (n, 2) m s and derivatives (22, n, 2).
+def _find_rows_of_balls(second: Flags) -> Sequence[slice | Index]:
+    """The rows of ball 1 and of ball 2; slices where those of ball 1 come first."""
+    first = len(second) - np.count_nonzero(second)
+    if not second[:first].any():
+        return slice(first), slice(first, None)
+    return np.flatnonzero(~second), np.flatnonzero(second)
+
+
+# What `_integrate` integrates, by row: the path since t_c, and its derivatives by t_c, drag and decel; by the final
+# velocity of the ball's own slide and the logarithm of its duration; by its first velocity, of which each component
+# moves the ball along itself by the first of two numbers; by the velocity of ball 1 before the hit, and so by that of
+# ball 2 relative to it; by the acceleration of ball 2 before the hit, where it slides.
+_PATH, _CONTACT, _DRAG, _DECEL, _FINAL_X, _FINAL_Y, _TAU, _START, _TARGET_X, _TARGET_Y, _PULL = range(11)
+_ENDS = np.array([[at + 2, at + 3] for at in AFTER.values()])  # of velocities and logarithms in FREE
+_STARTS, _TAUS = _ENDS - 2, _ENDS[:, 1] + 1
+
+
+def _integrate(free: Array, second: Ints, since: Array) -> Array:
+    """Integrals over time, from t_c, of the displacement since t_c and of its derivatives: (10 or 12, n, 2).
 
     second (n,): 1 for ball 2, else 0.
     """
-    came = since < 0
+    came, slides = since < 0, bool(free[_SLIDING] or free[_SLIDING + 1])
     rows = np.flatnonzero(came if free[-2] or free[-1] else came & (second > 0))
     own, before = second[rows], since[rows]
-    launch = free[-2:] + free[5] * np.array([np.cos(free[3]), np.sin(free[3])])
-    speed, along = (x[own] for x in _polar(np.stack([free[-2:], launch])))
-    final, final_along = (x[second] for x in _polar(np.stack([free[at + 2 : at + 4] for at in AFTER.values()])))
+    velocities, starts = np.empty((4, 2)), free[_STARTS]  # ball 1 and 2 before the contact, and after their slides
+    velocities[0] = velocities[1] = free[-2:]
+    velocities[1, 0] += free[5] * np.cos(free[3])
+    velocities[1, 1] += free[5] * np.sin(free[3])
+    velocities[2:] = free[_ENDS]
     after = np.maximum(since, 0.0)  # before the contact, nothing follows from the motion after it
-    tau = np.exp(free[[at + 4 for at in AFTER.values()]])[second]
+    tau = np.exp(free[_TAUS])[second]
     slide = np.minimum(after, tau)
+    rest = after - slide
     # at once: most of the time is that of numpy's calls
-    roll = roll_freely(np.append(speed, final), free[6], free[7], np.append(before, after - slide))
-    area, slope = _departure(
-        free, second, (tau, slide, after - slide), roll.take(slice(len(rows), None)), final, final_along
-    )
-    if len(rows):
-        area[rows], by = _approach(free, own, before, roll.take(slice(len(rows))), speed, along)
-        for parameter, part in by.items():
-            slope[parameter, rows] = part
-    return area, slope
+    kinds = np.concatenate([own, second + 2])
+    speeds, directions = _polar(velocities)
+    speed, along = speeds[kinds], directions[kinds]
+    roll = roll_freely(speed, free[6], free[7], np.concatenate([before, rest]))
+    m = len(rows)
+    rolled = np.empty((4, len(kinds), 2))
+    rolled[0], rolled[1] = roll.area[:, None] * along, roll.distance[:, None] * along
+    rolled[2], rolled[3] = roll.area_drag[:, None] * along, roll.area_decel[:, None] * along
+    by_velocity = _by_velocity(roll, speed, along)
+    out = np.zeros((12 if slides else 10, len(since), 2))
+    v, change = starts[second], (velocities[2:] - starts)[second]
+    square = slide * slide
+    both = square / 2 + slide * rest  # weight of the velocity a ball keeps throughout
+    gain = square * (slide / 6 + rest / 2) / tau  # weight of the change from v to its final one
+    late = np.where(rest > 0, tau * (rest / 2 - tau / 6), -square * slide / (6 * tau))
+    area, distance = rolled[:2, m:]
+    out[_PATH] = both[:, None] * v + gain[:, None] * change + area
+    out[_CONTACT] = -slide[:, None] * v - (square / (2 * tau))[:, None] * change - distance
+    out[_DRAG : _DECEL + 1] = rolled[2:, m:]
+    out[_FINAL_X : _FINAL_Y + 1] = by_velocity[:, m:]
+    out[_FINAL_X, :, 0] += gain
+    out[_FINAL_Y, :, 1] += gain
+    out[_TAU] = (tau * rest)[:, None] * v + late[:, None] * change - tau[:, None] * distance
+    out[_START, :, 0] = both - gain
+    if m:
+        out[:, rows] = 0.0
+        out[_PATH, rows], out[_CONTACT, rows] = rolled[0, :m], -rolled[1, :m]
+        out[_DRAG : _DECEL + 1, rows] = rolled[2:, :m]
+        out[_TARGET_X : _TARGET_Y + 1, rows] = by_velocity[:, :m]
+    if slides:
+        late_rows = rows[own > 0]
+        out[:, late_rows] = _slide_up_to_contact(free, velocities[1], since[late_rows])
+    return out
 
 
-def _approach(
-    free: Array, second: Ints, s: Array, roll: RollingMotion, speed: Array, along: Array
-) -> tuple[Array, dict[int, Array]]:
-    """Balls rolling up to the contact, or ball 2 sliding up to it; derivatives (n, 2) by the number of a parameter."""
-    heading, v0 = free[3], free[5]
-    d = np.array([np.cos(heading), np.sin(heading)])
-    area = roll.area[:, None] * along
-    by_wx, by_wy = _by_velocity(roll, speed, along)
-    launched_x, launched_y = by_wx * second[:, None], by_wy * second[:, None]
-    by = {
-        0: -roll.distance[:, None] * along,
-        3: v0 * (launched_y * d[0] - launched_x * d[1]),
-        5: launched_x * d[0] + launched_y * d[1],
-        6: roll.area_drag[:, None] * along,
-        7: roll.area_decel[:, None] * along,
-        len(FREE) - 2: by_wx,
-        len(FREE) - 1: by_wy,
-    }
-    if free[_SLIDING] or free[_SLIDING + 1]:
-        rows = np.flatnonzero(second)
-        area[rows], part = _sliding_approach(free, s[rows])
-        by |= {parameter: np.zeros_like(area) for parameter in (_SLIDING, _SLIDING + 1)}
-        for parameter, value in by.items():
-            value[rows] = part[parameter]
-    return area, by
-
-
-def _sliding_approach(free: Array, s: Array) -> tuple[Array, Array]:
-    """Ball 2 sliding up to the contact: friction keeps its direction, because slip does."""
-    heading, v0, pull = free[3], free[5], free[_SLIDING : _SLIDING + 2]
-    d = np.array([np.cos(heading), np.sin(heading)])
-    v = free[-2:] + v0 * d
+def _slide_up_to_contact(free: Array, v: Array, s: Array) -> Array:
+    """The integrals (12, n, 2) of ball 2 sliding up to the contact: friction keeps its direction, because slip does."""
+    pull = free[_SLIDING : _SLIDING + 2]
     square, cube = (s * s / 2)[:, None], (s**3 / 6)[:, None]
-    part = np.zeros((len(FREE), len(s), 2))
-    part[0] = -(s[:, None] * v + square * pull)
-    part[3] = square * v0 * np.array([-d[1], d[0]])
-    part[5] = square * d
+    out = np.zeros((12, len(s), 2))
+    out[_PATH] = square * v + cube * pull
+    out[_CONTACT] = -(s[:, None] * v + square * pull)
     for axis in (0, 1):
-        part[_SLIDING + axis, :, axis] = cube[:, 0]
-        part[axis - 2, :, axis] = square[:, 0]
-    return square * v + cube * pull, part
+        out[_PULL + axis, :, axis], out[_TARGET_X + axis, :, axis] = cube[:, 0], square[:, 0]
+    return out
 
 
 def _polar(velocities: Array) -> tuple[Array, Array]:
@@ -271,35 +291,6 @@ def _by_velocity(roll: RollingMotion, speed: Array, along: Array) -> Array:
     out[0, :, 1] = out[1, :, 0] = off * x * y
     out[1, :, 1] = turn + off * y * y
     return out
-
-
-def _departure(
-    free: Array, second: Ints, times: tuple[Array, Array, Array], roll: RollingMotion, speed: Array, along: Array
-) -> tuple[Array, Array]:
-    """Balls sliding, then rolling, after the contact; times (n,): of the whole slide, and of sliding and rolling."""
-    tau, slide, roll_time = times
-    own = np.stack([free[at : at + 4] for at in AFTER.values()])
-    v, change = own[second, :2], (own[:, 2:] - own[:, :2])[second]
-    square = slide * slide
-    both = square / 2 + slide * roll_time  # weight of the velocity a ball keeps throughout
-    gain = square * (slide / 6 + roll_time / 2) / tau  # weight of the change from v to its final one
-    area = both[:, None] * v + gain[:, None] * change + roll.area[:, None] * along
-
-    by_final = _by_velocity(roll, speed, along)
-    by_final[0, :, 0] += gain
-    by_final[1, :, 1] += gain
-    late = np.where(roll_time > 0, tau * (roll_time / 2 - tau / 6), -square * slide / (6 * tau))
-    by_tau = (tau * roll_time)[:, None] * v + late[:, None] * change - (tau * roll.distance)[:, None] * along
-    part = np.zeros((len(FREE), len(slide), 2))
-    part[0] = -slide[:, None] * v - (square / (2 * tau))[:, None] * change - roll.distance[:, None] * along
-    part[6] = roll.area_drag[:, None] * along
-    part[7] = roll.area_decel[:, None] * along
-    for ball, at in enumerate(AFTER.values()):
-        own_rows = (second == ball).astype(np.float64)
-        part[at, :, 0] = part[at + 1, :, 1] = (both - gain) * own_rows
-        np.multiply(by_final, own_rows[:, None], out=part[at + 2 : at + 4])
-        np.multiply(by_tau, own_rows[:, None], out=part[at + 4])
-    return area, part
 
 
 # --- the impact ---
