@@ -182,10 +182,17 @@ class MaximumLikelihood:
         The tracks give a wrong blur where a ball is hit or lost. If it is hit during the exposure, its path is bent.
         The middle of a straight line fitted to it is the mean position during the exposure, as elsewhere.
         """
+        min_share = 0.25  # of the light of a typical glint; reflections have less
         rows = np.flatnonzero(~clipped & (~fit.good | ((fit.glints.flags & PositionFlag.MISFIT) > 0)))
         if len(rows) == 0:
             return
         smeared, flux, background = estimate_shapes(patches.take(rows), self.sigma)
+        typical = float(np.median(fit.glints.flux[fit.good] if fit.good.any() else flux))
+        # A fit hardly has twice the light that was seen: the faintest candidates end below `min_share`.
+        able = fit.good[rows] | (flux > min_share / 2.5 * typical)
+        rows, smeared, flux, background = rows[able], smeared.take(able), flux[able], background[able]
+        if len(rows) == 0:
+            return
         half = int(self.geometry.half_of_blur(smeared.blur).max())
         windows, origin = make_windows(self.geometry, smeared, half, with_profile=False)
         known = np.column_stack([smeared.position - origin, np.log(flux), background])
@@ -194,8 +201,9 @@ class MaximumLikelihood:
         smeared = replace(smeared, blur=np.where(in_patch[:, None], blur, smeared.blur))
         again = self._fit_beside(smeared, bowl_of_own[rows], near.take(rows), clipped[rows])
         # What seemed no glint may be a ball's, if it is long and not faint as reflections are.
-        typical = np.median(fit.glints.flux[fit.good] if fit.good.any() else again.glints.flux)
-        long, bright = np.hypot(*smeared.blur.T) > 2.0 * self.sigma, again.glints.flux > 0.25 * typical
+        if not fit.good.any():
+            typical = float(np.median(again.glints.flux))
+        long, bright = np.hypot(*smeared.blur.T) > 2.0 * self.sigma, again.glints.flux > min_share * typical
         chosen = again.good & _fits_better(again.glints, fit.glints.take(rows), fit.good[rows])
         chosen &= fit.good[rows] | (long & bright)
         fit.put(rows[chosen], again, chosen)
