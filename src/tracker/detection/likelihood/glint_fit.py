@@ -70,9 +70,10 @@ def fit_glints(
 ) -> GlintFit:
     """Fit a glint of width `sigma`, px, to each window, on a ball profile of known shape or on a bowl of its own.
 
-    A step below `tolerance`, px and log flux, is the last one: the next would be a hundredth of it.
+    A step below `tolerance`, px and log flux, is the last one: the next would be a hundredth of it. A fit that still
+    moves after `few_steps` on less light than the error of that is no glint. It ends unconverged.
     """
-    max_steps = 30  # of Fisher scoring
+    max_steps, few_steps = 30, 8  # of Fisher scoring
     theta = _clip_parameters(_start(windows, sigma, sensor, profile), windows.half)
     active, part, limit = np.arange(len(windows)), windows, _step_limits(sigma)
     ended, fits = [], []
@@ -80,11 +81,13 @@ def fit_glints(
         seen = _compare(part, *_model(theta[active], part, sigma, profile), sensor)
         step = np.asarray(np.linalg.solve(seen.info, seen.slope[..., None])[..., 0], dtype=np.float64)
         step[:, :3] = np.clip(step[:, :3], -limit, limit)
-        if number >= 8:  # a glint that still moves swings about its position
+        if number >= few_steps:  # a glint that still moves swings about its position
             step *= 0.5
         theta[active] = _clip_parameters(theta[active] + step, windows.half)
         still = np.max(np.abs(step[:, :3]), axis=1) > tolerance
         ends = np.full(len(active), True) if number == max_steps - 1 else ~still
+        if number >= few_steps:
+            ends |= np.linalg.inv(seen.info)[:, 2, 2] > 1.0  # of the logarithm of the flux
         if ends.any():
             ended.append(active[ends])
             fits.append(

@@ -9,6 +9,7 @@ from scipy.optimize import minimize
 from tracker_film import expose, spot
 
 from tracker.camera.sensor import SensorSpec
+from tracker.detection.likelihood import glint_fit
 from tracker.detection.likelihood.glint_fit import GlintWindows, fit_glints
 
 SENSOR = SensorSpec(bits=8, gain=20.0, read_noise=20.0, prnu=0.01, dsnu=4.0, black_level=8.0)
@@ -83,3 +84,17 @@ def test_a_window_without_a_pixel_has_no_information_and_warns_of_nothing():
     found = fit_glints(windows, 1.0, SENSOR)
     assert not found.flux[1] > found.flux_std[1]
     assert (found.flux[[0, 2]] > 20 * found.flux_std[[0, 2]]).all()
+
+
+def test_what_shows_less_light_than_its_error_is_given_up_and_a_dim_glint_is_not(monkeypatch):
+    rng, rounds = np.random.default_rng(3), list[int]()
+    dim = fit_glints(shown(rng, 200, 6.0), 1.0, SENSOR)
+    assert 5 < np.median(dim.flux / dim.flux_std) < 9
+    assert dim.converged.all()
+    compare = glint_fit._compare
+    monkeypatch.setattr(glint_fit, "_compare", lambda part, *rest: (rounds.append(len(part)), compare(part, *rest))[1])
+    dark = fit_glints(shown(rng, 200, 1e-3), 1.0, SENSOR)
+    assert rounds[0] == 200
+    assert sum(rounds[9:]) < 1000, "1480 if none is given up"
+    assert not (dark.converged & (dark.flux > 5 * dark.flux_std)).any()
+    assert (dark.flux < 5 * dark.flux_std)[~dark.converged].all()
