@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,6 +51,12 @@ MIN_POSITIONS = 3  # of each stretch
 SIDES = ((1, False), (2, False), (1, True), (2, True))  # ball, whether after the contact
 VELOCITIES = ("v1ix", "v1iy", "v2ix", "v2iy", "v1ox", "v1oy", "v2ox", "v2oy")  # m/s, just before and after
 BALANCE = ("balance_n", "balance_t")  # m/s, momentum after less before over the mean mass, along n and t
+SIMPLE_AFTER = {  # motions of a body after a contact by its support, by which the windows of stretches are chosen
+    "": (SLIDE, SLIDE_AND_ROLL, SLIDE_AND_STOP),
+    "cloth": (SLIDE, SLIDE_AND_ROLL),
+    "air": (SLIDE,),
+    "sliding": (SLIDE_AND_STOP,),
+}
 LOCAL_NAMES = (*QUANTITY_NAMES, *VELOCITIES, "impact_energy", *BALANCE, "mass_ratio")
 
 
@@ -108,9 +115,9 @@ def estimate_in_steps(
     before: motions that ball 1 and ball 2 may have on a plate before the contact.
     of_crowd: find `cov_of_known`, because many contacts show how large that part is.
     """
-    rests = not contact.pair.target_moves
-    glides = {"": (False, True), "cloth": (False,), "air": (True,), "sliding": (True,)}[camera.support]
-    lasts = contact.end > contact.start
+    instant = _guess_instant(contact, camera)
+    if _stay_together(contact, instant):
+        return "the bodies stay together after the hit"
     settings = contact.pair.settings
     known = LocalPriors(
         contact.pair.diameter,
@@ -119,35 +126,66 @@ def estimate_in_steps(
         loss=settings.local_rolling_loss_m_s2,
         slips=slips,
         ends=ends,
-        dry=camera.support == "sliding",
     )
-    on_plate = False in glides
-    alone = SLIDE_AND_STOP if known.dry else SLIDE
-    simple_after = (SLIDE, SLIDE_AND_ROLL) if on_plate else (alone,)
-    simple_before = (ROLL, *simple_after) if on_plate else (alone,)
+    fit = yield from _fit_stretches(contact, camera, instant, known, before)
+    if isinstance(fit, str):
+        return fit
+    if not camera.support and any(one.problem.dry for _, one in fit.mixture):
+        dry = yield from _fit_stretches(contact, replace(camera, support="sliding"), instant, known, before)
+        fit = fit if isinstance(dry, str) else _put_dry_fit(fit, dry)
+    return _read_values(fit.claimed, fit.mixture, contact, camera, masses, of_crowd=of_crowd)
+
+
+class LocalFit(NamedTuple):
+    """The best solution with the claimed errors, and all with their weights, by errors as large as residuals."""
+
+    claimed: LocalSolution
+    mixture: list[tuple[float, LocalSolution]]  # the likeliest first
+
+
+def _fit_stretches(
+    contact: Contact,
+    camera: Camera,
+    instant: float,
+    known: LocalPriors,
+    before: Sequence[Sequence[MotionKind]],
+) -> FitInSteps[LocalFit | str]:
+    """Fit all stretches of a contact at about this instant, s, or give the reason why that is impossible."""
+    rests = not contact.pair.target_moves
+    supports = (camera.support,) if camera.support else ("cloth", "sliding", "air")
+    lasts, dry = contact.end > contact.start, camera.support == "sliding"
+    simple_after = SIMPLE_AFTER[camera.support]
+    simple_before = (ROLL, *simple_after) if "cloth" in supports else simple_after
     claimed = bool(np.isinf(contact.pair.striker.noise_dof))
     max_residual = MAX_RESIDUAL_CLAIMED if claimed else MAX_RESIDUAL_SCATTER
-    instant = _guess_instant(contact, camera)
-    if _stay_together(contact, instant):
-        return "the bodies stay together after the hit"
     for turn in range(3):
         whole = _cut_stretches(contact, camera, instant)
         if min(map(len, whole)) < MIN_POSITIONS:
             return "too few positions near the contact"
         stretches = [
-            (s.as_one if known.dry else s)
+            (s.as_one if dry else s)
             if rests and (s.ball, s.after) == (1, False)
             else choose_window(s, instant, simple_after if s.after else simple_before, max_residual)
             for s in whole
         ]
         priors = _allow_for_duration(known, stretches, contact, camera)
-        found = yield from fit_motions(stretches, instant, rests, glides, priors, before)
+        found = yield from fit_motions(stretches, instant, rests, supports, priors, before)
         late, instant = float(found[0].x[0]) - instant, float(found[0].x[0])
         if turn == 2 or lasts or abs(late) > 3 / camera.fps or _has_stretches(contact, camera, instant, late, whole):
             break
     weighed = yield from weigh_by_residuals(found, claimed)
-    mixture = yield from mix_solutions(weighed)
-    return _read_values(found[0], mixture, contact, camera, masses, of_crowd=of_crowd)
+    return LocalFit(found[0], (yield from mix_solutions(weighed)))
+
+
+def _put_dry_fit(fit: LocalFit, dry: LocalFit) -> LocalFit:
+    """Put a fit of bodies that slide until they stop in place of such solutions, with the weight that these have.
+
+    The positions that all motions may have show this weight. The other fit also has those at rest, and longer windows.
+    """
+    others = [part for part in fit.mixture if not part[1].problem.dry]
+    weight = 1 - sum(share for share, _ in others)
+    mixture = sorted((*others, *((weight * share, one) for share, one in dry.mixture)), key=lambda part: -part[0])
+    return LocalFit(dry.claimed if mixture[0][1].problem.dry else fit.claimed, mixture)
 
 
 def _stay_together(contact: Contact, instant: float) -> bool:
@@ -203,7 +241,7 @@ def _cut_stretches(contact: Contact, camera: Camera, instant: float) -> list[Str
     first_and_last, frame_s, stops = (
         (instant - span / 2, instant + span / 2),
         1 / camera.fps,
-        camera.support == "sliding",
+        camera.support in ("", "sliding"),
     )
     return [
         cut_stretch(tracks[ball], ball, after, window_s, first_and_last, frame_s, stops=stops) for ball, after in SIDES

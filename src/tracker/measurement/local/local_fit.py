@@ -170,22 +170,20 @@ def _line(stretch: Stretch, contact: float) -> tuple[Array, Array]:
 def list_motions(
     stretches: Sequence[Stretch],
     rests: bool,
-    glide: bool,
+    support: str,
     before: Sequence[Sequence[MotionKind]] = BEFORE,
-    *,
-    dry: bool = False,
 ) -> Iterator[tuple[MotionKind, ...]]:
-    """List the motions that the stretches of a local fit may have, on air (glide) or on a plate.
+    """List the motions that the stretches of a local fit may have, all on the same support.
 
-    before: motions that ball 1 and ball 2 may have on a plate before the contact, the simplest first.
-    dry: bodies that glide do so on a dry plate, until they rest.
+    support: "cloth", "air", or "sliding", a dry plate on which bodies slide until they rest.
+    before: motions that ball 1 and ball 2 may have on cloth before the contact, the simplest first.
     """
     choices: list[tuple[MotionKind, ...]] = []
     for s in stretches:
         if s.ball == 1 and not s.after and rests:
             choices.append((REST,))
-        elif glide:
-            choices.append((SLIDE_AND_STOP if dry else SLIDE,))
+        elif support != "cloth":
+            choices.append((SLIDE_AND_STOP if support == "sliding" else SLIDE,))
         elif s.after:
             choices.append((SLIDE_AND_ROLL,))
         else:
@@ -197,18 +195,22 @@ def fit_motions(
     stretches: Sequence[Stretch],
     contact: float,
     rests: bool,
-    glides: Sequence[bool],
+    supports: Sequence[str],
     priors: LocalPriors,
     before: Sequence[Sequence[MotionKind]] = BEFORE,
 ) -> FitInSteps[list[LocalSolution]]:
-    """Fit the motions that the stretches may have, the simplest first, until one describes the positions.
+    """Fit the motions that the stretches may have, on each of the supports, until one describes the positions.
 
-    That one is returned alone. If none does, all are returned, and first the one of the smallest cost with its price.
+    The simplest motions come first; those that describe the positions are returned alone. A body that slides on cloth
+    all along moves as on a dry plate, so both are tried. Motions on air are the most general. If none describes the
+    positions, all are returned. The first has the smallest cost with its price.
     """
     found: list[LocalSolution] = []
-    for glide in glides:
-        for motions in list_motions(stretches, rests, glide, before, dry=priors.dry):
-            problem = LocalProblem(tuple(stretches), motions, priors, glide)
+    for support in supports:
+        if support == "air" and any(one.is_good for one in found):
+            break
+        for motions in list_motions(stretches, rests, support, before):
+            problem = LocalProblem(tuple(stretches), motions, priors, support != "cloth")
             x = np.zeros(problem.size)
             x[0], x[5], x[6] = contact, np.log(priors.friction), priors.loss
             places: dict[int, list[Array]] = {1: [], 2: []}
@@ -233,8 +235,9 @@ def fit_motions(
                 x[problem.start[k] : problem.start[k] + 2] -= x[problem.place(k)]
             [[first]] = yield [Descent([problem], x[None], [1.0] * len(stretches), least_gain=ROUGH_GAIN)]
             found.append((yield from _try_other_starts(first)))
-            if found[-1].is_good:  # the simplest come first
-                return found[-1:]
+            if found[-1].is_good:
+                break
+    found = [one for one in found if one.is_good] or found
     noise = max(1.0, min(s.chi2 / s.dof for s in found))
     return sorted(found, key=lambda s: s.cost / noise + s.cost_with_price - s.cost)
 
@@ -267,7 +270,7 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool) -> FitInStep
     """
     solution = found[0]
     if known and solution.is_good:
-        return [solution]
+        return sorted(found, key=lambda s: -s.log_evidence)
     problem = solution.problem
     ends = 2 * np.cumsum([len(s) for s in problem.stretches])[:-1]
     lefts, frees, counts = (np.split(v, ends) for v in (solution.residual, solution.freedom, problem.counted))
@@ -284,7 +287,7 @@ def weigh_by_residuals(found: Sequence[LocalSolution], known: bool) -> FitInStep
         [_count_frames(far.time[own], far.count[own], solution.x[0]) for far, own in zip(fars, orders, strict=True)],
     )
     found_squares, least = dict(zip(moving, own, strict=True)), 1.0 if known else 1e-12
-    at_rest = single if problem.priors.dry else usual
+    at_rest = single if problem.dry else usual
     sizes = [size * float(np.sqrt(max(found_squares.get(k, at_rest), least))) for k, size in enumerate(solution.sizes)]
     likely = [one for one in found if one is solution or not _stays_unlikely(one, solution, sizes)]
     again = yield [Descent([one.problem], one.x[None], sizes, least_gain=ROUGH_GAIN) for one in likely]

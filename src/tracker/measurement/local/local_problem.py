@@ -89,7 +89,6 @@ class LocalPriors:
     loss: float = 0.05  # of rolling, m/s^2; its error is as large
     loss_scatter: float = 0.03  # from stretch to stretch, m/s^2: balls of steel lose more the faster they roll
     push: float = 1.0  # acceleration of bodies that glide, m/s^2
-    dry: bool = False  # whether they slide on a dry plate until they rest
     # Scatter of dry friction along and across the path, over the common one. Even pressure gives a disc whose rim turns
     # as fast as it slides 0.85 of the friction. A plate that is tilted by a degree pushes by 0.1 of it.
     dry_scatter: tuple[float, float] = (0.2, 0.1)
@@ -207,14 +206,16 @@ class LocalProblem:
                 matrix[i, j] = factor / error
         return np.array([value / error if by else 0.0 for value, error, by in rows]), matrix
 
-    def find_log_density_of_slips(self, x: Array) -> float:
-        """Find the logarithm of the prior density of slips that are known, over what `log_width` and the cost hold.
+    def find_log_density(self, x: Array) -> float:
+        """Find the logarithm of the prior density of slips and dry friction, over what `log_width` and the cost hold.
 
+        The scatter of dry friction goes with the fitted friction; `log_width` holds that of the prior one.
         The prior of a slip u is normal in both components of u; the fit has the logarithm of its duration and its
         direction instead, so that the density has a factor u^2. It also stands in place of the usual prior of the
         duration. Durations that are assumed one by one have an even prior of their logarithm, besides.
         """
-        log, priors = 0.0, self.priors
+        priors = self.priors
+        log = 2 * len(self.dry) * (float(np.log(priors.friction)) - float(x[5]))
         for k in self.slips:
             at = self.start[k]
             log += 2 * float(np.log(3.5 * GRAVITY) + x[5] + x[at + 4] + x[at + 6])
@@ -317,7 +318,7 @@ class LocalSolution:
     @cached_property
     def log_evidence(self) -> float:
         """Logarithm of the probability of the positions by the motions of the problem, but for a constant."""
-        density = self.problem.find_log_density_of_slips(self.x)
+        density = self.problem.find_log_density(self.x)
         return self.log_volume - self.cost / 2 - self.problem.log_width + density
 
     @property

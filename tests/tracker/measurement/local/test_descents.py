@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local import descents
 from tracker.measurement.local.descents import (
     Descent,
@@ -102,6 +103,26 @@ def test_derivatives_of_dry_friction_are_those_of_differences(size):
         assert (high - low) / (4 * step) == pytest.approx(pull[0, k], rel=1e-4, abs=1e-5 * np.abs(pull).max()), k
 
 
+def test_the_prior_of_dry_friction_has_the_same_weight_for_each_friction():
+    """Its integral over the acceleration of a stretch does not depend on the common friction."""
+    problem = replace(make_problem(1, 12), motions=(SLIDE_AND_STOP,) * 4, glide=True)
+    stack, side, weights = ProblemStack([problem], np.ones((1, 4))), np.linspace(-2, 2, 101), []
+    for friction in (0.05, 0.2):
+        unit = friction * GRAVITY
+        x = np.zeros((len(side) ** 2, problem.size))
+        x[:, 5] = np.log(friction)
+        for k in range(4):
+            x[:, problem.start[k] + 2 : problem.start[k] + 6] = [1.0, 0.0, -unit, 0.0]
+        x[:, problem.start[3] + 4 : problem.start[3] + 6] = unit * np.stack(np.meshgrid(side - 1, side), -1).reshape(
+            -1, 2
+        )
+        known, _ = stack._weigh_known(x, np.zeros(len(x), dtype=int))
+        rows = known[:, stack.curved - 2 : stack.curved]
+        integral = np.exp(-(rows**2).sum(axis=1) / 2).sum() * (unit * (side[1] - side[0])) ** 2
+        weights.append(integral**4 * np.exp(problem.find_log_density(x[0])))
+    assert weights[0] == pytest.approx(weights[1], rel=1e-6)
+
+
 def test_friction_of_other_stretches_slows_a_body_that_hardly_shows_it():
     """Three stretches of 60 positions show 1.5 m/s^2; the last has four, which show next to nothing."""
     stretches, diameter = [], 0.03
@@ -112,7 +133,7 @@ def test_friction_of_other_stretches_slows_a_body_that_hardly_shows_it():
         cov = np.tile(np.eye(2) * NOISE**2, (n, 1, 1))
         near, count = np.zeros(n, dtype=bool), np.ones(n, int)
         stretches.append(Stretch(ball, after, time, position, cov, 0 * cov, near, count))
-    found = run_alone(fit_motions(stretches, 0.0, True, (True,), LocalPriors(diameter, dry=True)))
+    found = run_alone(fit_motions(stretches, 0.0, True, ("sliding",), LocalPriors(diameter)))
     solution, at = found[0], found[0].problem.start[3]
     assert solution.problem.motions[3] == SLIDE_AND_STOP
     assert solution.x[at + 4] == pytest.approx(-1.5, abs=0.03)

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 import tracker_billiard as billiard
 
+from benchmarks.tracker import local_estimates
 from benchmarks.tracker.local_estimates import measure_one
 from tracker import measure
 from tracker.measurement.local import local_estimate
@@ -123,6 +124,25 @@ def test_pucks_that_slide_until_they_stop_show_r_in_a_film_with_loss(number):
     assert row["r_local"] == pytest.approx(row["r_true"], abs=2.5 * row["r_local_std"])
     assert row["r_local_std"] < 0.05
     assert row["v0_local"] == pytest.approx(row["v0_true"], abs=3 * row["v0_local_std"])
+
+
+@pytest.mark.parametrize("number", [7, 22, 3])
+def test_tracks_show_that_pucks_slide_on_a_dry_plate(number):
+    """Without `support` they give what they give with it. Two of the strikers stop within 2 mm."""
+    free, told = (measure_one(kind, number, 501, 0.0) for kind in ("pucks", "dry pucks"))
+    for name in ("v0", "r", "v1ox", "v2oy"):
+        assert free[f"{name}_local"] == pytest.approx(told[f"{name}_local"], abs=0.02 * told[f"{name}_local_std"])
+        assert free[f"{name}_local_std"] == pytest.approx(told[f"{name}_local_std"], rel=0.02)
+
+
+@pytest.mark.parametrize(("kind", "motion"), [("balls", "slide and roll"), ("discs", "glide")])
+def test_balls_and_discs_on_air_do_not_seem_to_slide_on_a_dry_plate(kind, motion, monkeypatch):
+    """Nothing says what carries them. A fit of a dry plate may have no weight."""
+    monkeypatch.setitem(local_estimates.KINDS, kind, (*local_estimates.KINDS[kind][:2], ""))
+    monkeypatch.setattr(local_estimate, "_put_dry_fit", lambda *_: pytest.fail("the fit of a dry plate has a weight"))
+    for number in range(3):
+        row = measure_one(kind, number, 401, 0.0)
+        assert row["motion_local"] == motion
 
 
 @pytest.mark.parametrize(("seed", "number"), [(107, 5), (104, 131), (107, 2), (105, 69)])

@@ -22,7 +22,7 @@ from tracker.measurement.local.local_fit import (
     weigh_by_residuals,
 )
 from tracker.measurement.local.local_problem import KnownEnd, KnownSlips, LocalPriors, LocalProblem
-from tracker.measurement.local.stretches import ROLL, SLIDE, SLIDE_AND_ROLL, Stretch
+from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, SLIDE_AND_STOP, Stretch
 
 NOISE = 1e-6
 
@@ -97,7 +97,7 @@ def test_residuals_are_weighed_from_the_contact_on(monkeypatch):
         make_stretch(np.outer(after, [0.1, 0.0]) - [diameter, 0], after, 4, ball=2),
     )
     stretches = [replace(s, count=many if s.after else many[::-1]) for s in stretches]
-    found, seen = run_alone(fit_motions(stretches, 0.0, True, (True,), LocalPriors(diameter))), {}
+    found, seen = run_alone(fit_motions(stretches, 0.0, True, ("air",), LocalPriors(diameter))), {}
 
     def measure_variances(residuals, freedom, columns, counts, firsts):
         seen.update(residuals=residuals, counts=counts, columns=columns, firsts=firsts)
@@ -106,7 +106,7 @@ def test_residuals_are_weighed_from_the_contact_on(monkeypatch):
     monkeypatch.setattr(local_fit, "measure_variances", measure_variances)
     [again] = run_alone(weigh_by_residuals(found, known=False))
     assert again.sizes == pytest.approx((3.0, 2.0, 2.0, 2.0))  # a body at rest has the mean
-    dry = replace(found[0].problem, priors=LocalPriors(diameter, dry=True))
+    dry = replace(found[0].problem, motions=(REST, *[SLIDE_AND_STOP] * 3))
     [again] = run_alone(weigh_by_residuals([replace(found[0], problem=dry)], known=False))
     assert again.sizes == pytest.approx((4.0, 2.0, 2.0, 2.0))  # or the error of one position
     assert seen["firsts"] == pytest.approx([1.0] * 3, abs=0.01)
@@ -126,7 +126,7 @@ def test_only_motions_that_no_error_makes_likely_are_not_solved_again(known):
         make_stretch(slide_path(time, 0.9, 1.6, 0.1), time, 3, size=1.5),
         make_stretch(slide_path(time, 0.1, -1.6, 0.1) - [diameter, 0], time, 4, ball=2),
     )
-    found = run_alone(fit_motions(stretches, 0.0, True, (False, True), LocalPriors(diameter)))
+    found = run_alone(fit_motions(stretches, 0.0, True, ("cloth", "air"), LocalPriors(diameter)))
     steps = weigh_by_residuals(found, known)
     asked = next(steps)
     solved = solve_descents(asked)
@@ -152,7 +152,7 @@ def test_an_end_of_a_slide_that_is_not_seen_leaves_the_velocity_known(slide_s, s
         make_stretch(slide_path(time, 0.9, 1.6, slide_s), time, 3),
         make_stretch(slide_path(time, 0.1, -1.6, 0.1) - [diameter, 0], time, 4, ball=2),
     )
-    found = run_alone(fit_motions(stretches, 0.0, True, (False,), LocalPriors(diameter)))
+    found = run_alone(fit_motions(stretches, 0.0, True, ("cloth",), LocalPriors(diameter)))
     assert shows_end(found[0], 2) == seen
     assert run_alone(mix_solutions(found, durations=0))  # none fits
     mixture = run_alone(mix_solutions(found))
@@ -174,7 +174,7 @@ def test_evidence_of_known_slips_does_not_depend_on_whether_the_end_of_a_slide_s
     )
     slips = np.array([[0.9 + share, 0.0], [share - 0.9, 0.0]])
     known = KnownSlips(slips, np.zeros((2, 2)), (0.0, 0.0), np.array([1.0, 0.0]), share, 0.02, 0.02)
-    [one] = run_alone(fit_motions(stretches, 0.0, True, (False,), LocalPriors(diameter, slips=known)))
+    [one] = run_alone(fit_motions(stretches, 0.0, True, ("cloth",), LocalPriors(diameter, slips=known)))
     assert one.problem.slips == (2, 3)
     assert shows_end(one, k)
     parts = run_alone(local_fit._vary_each_slide([(0.0, one)], k, 6, may_slide_on=False))
