@@ -290,7 +290,9 @@ def describe_stretch_scatter(scatter: StretchScatter) -> list[str]:
     parts = []
     if scatter.friction:
         parts.append(f"the sliding friction scatters by {100 * scatter.friction:.2g} %")
-    if scatter.loss_m_s2:
+    if scatter.speed_m_s:
+        parts += _describe_scatter_on_air(scatter)
+    elif scatter.loss_m_s2:
         parts.append(f"the rolling loss scatters by {scatter.loss_m_s2:.2g} m/s^2")
     if scatter.displacement_m:
         size, reach = (format_number(1e3 * x, 2) for x in (scatter.displacement_m, scatter.reach_m))
@@ -305,6 +307,17 @@ def describe_stretch_scatter(scatter: StretchScatter) -> list[str]:
             f"{scatter.map_log_ratio:.0f}): the map of the camera is warped. tracker warp corrects it."
         )
     return lines
+
+
+def _describe_scatter_on_air(scatter: StretchScatter) -> list[str]:
+    """Describe how the accelerations of bodies that glide differ."""
+    sizes = (("the loss", scatter.loss_m_s2), ("the acceleration across the motion", scatter.across_m_s2))
+    parts = [f"{name} scatters by {size:.2g} m/s^2" for name, size in sizes if size]
+    if parts:
+        law = {0: "", 1: ", in proportion to the speed"}.get(scatter.speed_power, ", as a power of the speed")
+        lasts = format_number(1e3 * scatter.lasts_s, 2)
+        parts[-1] += f" (at {scatter.speed_m_s:.2g} m/s{law}; each changes within {lasts} ms)"
+    return parts
 
 
 def describe_contacts(claims: Sequence[ContactClaim], model: Model) -> list[str]:

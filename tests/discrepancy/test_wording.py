@@ -97,6 +97,11 @@ def test_scatter_is_given_in_the_units_of_the_bench():
         assert part in text
     assert "warp" not in " ".join(describe_stretch_scatter(StretchScatter(displacement_m=5.7e-4, reach_m=0.15)))
     assert describe_stretch_scatter(StretchScatter()) == []
+    air = StretchScatter(loss_m_s2=0.54, across_m_s2=0.16, lasts_s=0.14, speed_power=1, speed_m_s=0.53)
+    text = " ".join(describe_stretch_scatter(air))
+    for part in ("0.54 m/s^2", "0.16 m/s^2", "at 0.53 m/s, in proportion to the speed", "within 140 ms"):
+        assert part in text
+    assert "rolling" not in text
 
 
 def test_the_verdict_on_stretches_is_not_that_on_contacts():

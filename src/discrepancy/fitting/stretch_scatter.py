@@ -1,15 +1,21 @@
-"""Fits the scatter from one free stretch to the next: of friction, rolling loss, and smooth displacements.
+"""Fits the scatter from one free stretch to the next: of friction, loss, acceleration, and smooth displacements.
 
 Real cloth, air and cameras differ from place to place and from shot to shot by more than the noise of positions. No
 parameter that all stretches share describes that. It is a random effect of each stretch (Pinheiro & Bates,
 Mixed-Effects Models in S and S-PLUS, 2000). It therefore belongs to the covariance of the positions. Restricted maximum
 likelihood gives its sizes, if the likelihood pays their price.
+
+A body that glides on air has no friction that holds it to a law. It may touch the plate for part of a stretch, and then
+it loses speed and changes course. So both its loss and its acceleration across the motion are random, and they change
+with time: they are Ornstein-Uhlenbeck processes (Uhlenbeck & Ornstein, Phys. Rev. 36 (1930) 823), whose size is
+proportional to a power of the speed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -25,7 +31,11 @@ from discrepancy.policy import current_policy
 from synthcam.model import Model
 from synthcam_shared.arrays import Array
 
-SIZES = ("friction", "loss_m_s2", "displacement_m", "reach_m")
+ON_PLATE = ("friction", "loss_m_s2")
+ON_AIR = ("loss_m_s2", "across_m_s2", "lasts_s")
+DISPLACED = ("displacement_m", "reach_m")
+SPEED_POWERS = (0, 1, 2)
+RESIDUAL_TO_PUSH = 27.0  # a constant acceleration a leaves an rms of a T^2 / 27 about a straight line, in a time T
 
 
 @dataclass(frozen=True)
@@ -33,26 +43,31 @@ class StretchScatter:
     """Standard deviations of what differs from stretch to stretch; zero where nothing does."""
 
     friction: float = 0.0  # of the sliding friction, relative
-    loss_m_s2: float = 0.0  # of the rolling loss
+    loss_m_s2: float = 0.0  # of the rolling loss; on air of the loss at `speed_m_s`
     displacement_m: float = 0.0  # of each axis, as of a camera's map
     reach_m: float = 0.0  # over which a displacement stays the same
     map_log_ratio: float = 0.0  # log likelihood ratio of displacements by one map to new ones in each stretch
+    # The others are only of bodies that glide on air.
+    across_m_s2: float = 0.0  # of the acceleration across the motion, at `speed_m_s`
+    lasts_s: float = 0.0  # the time in which the correlation of either acceleration with itself falls by a factor e
+    speed_power: int = 0  # the power of the speed to which both accelerations are proportional
+    speed_m_s: float = 0.0  # the median speed
 
     @property
     def is_none(self) -> bool:
         """True if nothing differs."""
-        return not (self.friction or self.loss_m_s2 or self.displacement_m)
+        return not (self.friction or self.loss_m_s2 or self.across_m_s2 or self.displacement_m)
 
     def is_close_to(self, other: StretchScatter, tolerance: float = 0.15) -> bool:
         """True if no size differs from the other's by more than this share of the larger one."""
-        pairs = ((getattr(self, name), getattr(other, name)) for name in SIZES)
-        return all(abs(a - b) <= tolerance * max(a, b) for a, b in pairs)
+        pairs = ((getattr(self, name), getattr(other, name)) for name in {*ON_PLATE, *ON_AIR, *DISPLACED})
+        return self.speed_power == other.speed_power and all(abs(a - b) <= tolerance * max(a, b) for a, b in pairs)
 
     def add_to(self, clips: Sequence[MeasuredCollision], model: Model, launches: Array) -> list[MeasuredCollision]:
         """The clips with this scatter in the covariance of their positions, instead of any other."""
         if self.is_none:
             return [replace(clip, scatter=None) for clip in clips]
-        return _add_scatter(clips, _differentiate_losses(clips, model, launches), self)
+        return _add_scatter(clips, _find_moves(clips, model, launches), self)
 
 
 NO_SCATTER = StretchScatter()
@@ -73,43 +88,64 @@ def fit_scatter(
     max_positions: of stretches that are compared with a map; memory grows as the square.
 
     All are zero if together they gain less in -2 log likelihood than `SearchPolicy.min_noise_gain`, and 2 for each size
-    more. Else each keeps its most likely value: without a real scatter of one size, claims would be too significant.
+    more. Else each keeps its most likely value: without a real scatter of one size, claims would be too significant. On
+    air, displacements hardly differ from accelerations. They are zero unless they gain as much beside these.
     """
     indices = np.unique(np.linspace(0, len(clips) - 1, min(max_clips, len(clips))).astype(int)).tolist()
     left = RestrictedResiduals.of(clips, fit, noise, indices)
     bare = [replace(clip, scatter=None) for clip in left.clips]
-    moves = _differentiate_losses(bare, fit.model, fit.launches[indices])
+    moves = _find_moves(bare, fit.model, fit.launches[indices])
     way = float(np.median([np.hypot(*np.ptp(clip.xy, axis=0)) for clip in bare]))
     noise_m = noise.scale * float(np.median(np.concatenate([clip.claimed_std() for clip in bare])))
-    speed = np.median(np.abs(fit.launches[:, V0]))
-    start = {
-        "friction": 0.05,
-        "loss_m_s2": 0.2 * max(float(fit.model.rolling_decel + fit.model.rolling_drag * speed), 1e-3),
-        "displacement_m": noise_m,
-        "reach_m": 0.2 * way,
-    }
+    on_air = not fit.model.sliding_friction
+    start = {"displacement_m": noise_m, "reach_m": 0.2 * way}
+    if on_air:
+        lasts = np.array([np.ptp(clip.frame) / clip.fps for clip in bare])
+        size = [np.std(c[..., -1]) * np.mean(clip.claimed_std()) for c, clip in zip(left.columns, bare, strict=True)]
+        push = float(np.median(RESIDUAL_TO_PUSH * np.array(size) / lasts**2))
+        start |= {"loss_m_s2": push, "across_m_s2": push, "lasts_s": float(np.median(lasts)) / 2}
+        start["displacement_m"] *= 0.3
+        speed = float(np.median(np.concatenate([move.speeds for move in moves if isinstance(move, _AirMoves)])))
+    else:
+        speed = float(np.median(np.abs(fit.launches[:, V0])))
+        loss = 0.2 * max(float(fit.model.rolling_decel + fit.model.rolling_drag * speed), 1e-3)
+        start |= {"friction": 0.05, "loss_m_s2": loss}
 
-    names = [name for name in SIZES if name != "friction" or fit.model.sliding_friction]
-
-    def build(x: Array) -> StretchScatter:
+    def build(names: Sequence[str], x: Array, speed_power: int) -> StretchScatter:
         values = {name: start[name] * float(np.exp(np.clip(v, -7, 7))) for name, v in zip(names, x, strict=True)}
-        values["displacement_m"] = min(values["displacement_m"], max_to_noise * noise_m)
-        values["reach_m"] = min(max(values["reach_m"], 0.02 * way), 0.5 * way)
-        return StretchScatter(**values)
+        if "displacement_m" in names:
+            values["displacement_m"] = min(values["displacement_m"], max_to_noise * noise_m)
+            values["reach_m"] = min(max(values["reach_m"], 0.02 * way), 0.5 * way)
+        return StretchScatter(**values, speed_power=speed_power, speed_m_s=speed if on_air else 0.0)
 
     def cost(scatter: StretchScatter) -> float:
         return replace(left, clips=_add_scatter(bare, moves, scatter)).cost(noise)
 
-    def price(x: Array) -> float:
-        return cost(build(x))
+    def minimise(names: Sequence[str], x: Array, speed_power: int = 0) -> tuple[float, Array, StretchScatter]:
+        def price(x: Array) -> float:
+            return cost(build(names, x, speed_power))
 
-    x = minimise_cost(price, np.zeros(len(names)))
-    least = current_policy().min_noise_gain + 2 * (len(names) - 1)
-    if cost(NO_SCATTER) - finite_cost(price, x) < least:
+        x = minimise_cost(price, np.pad(x, (0, len(names) - len(x))))
+        return finite_cost(price, x), x, build(names, x, speed_power)
+
+    least_gain = current_policy().min_noise_gain
+    if on_air:
+        paid, x, found = minimise(ON_AIR, np.zeros(0))
+        for power in SPEED_POWERS[1:]:
+            grown = minimise(ON_AIR, x, power)
+            if not grown[0] < paid:
+                break
+            paid, x, found = grown
+        displaced = minimise([*ON_AIR, *DISPLACED], x, found.speed_power)
+        if displaced[0] < paid - least_gain:
+            paid, x, found = displaced
+    else:
+        paid, x, found = minimise([*ON_PLATE, *DISPLACED], np.zeros(0))
+    if cost(NO_SCATTER) - paid < least_gain + 2 * (len(x) - 1):
         return NO_SCATTER
-    found = build(x)
-    silent = [n for n in names if n != "reach_m" and getattr(found, n) < 0.02 * start[n]]
-    found = replace(found, **dict.fromkeys(silent, 0.0))
+    sizes = [n for n in ("friction", "loss_m_s2", "across_m_s2", "displacement_m") if n in start]
+    silent: dict[str, Any] = {n: 0.0 for n in sizes if getattr(found, n) < 0.02 * start[n]}
+    found = replace(found, **silent)
     if not found.displacement_m:
         return found
     some = _choose_evenly([len(clip.frame) for clip in bare], max_positions)
@@ -130,7 +166,7 @@ def _choose_evenly(sizes: Sequence[int], most: int) -> list[int]:
 def _compare_with_map(
     clips: Sequence[MeasuredCollision],
     columns: Sequence[Array],
-    moves: Sequence[Array],
+    moves: Sequence[Moves],
     scatter: StretchScatter,
     noise: Noise,
 ) -> float:
@@ -173,20 +209,72 @@ def _kernel(one: Array, other: Array, scatter: StretchScatter) -> Array:
     return np.asarray(scatter.displacement_m**2 * np.exp(-apart / (2 * scatter.reach_m**2)))
 
 
-def _differentiate_losses(clips: Sequence[MeasuredCollision], model: Model, launches: Array) -> list[Array]:
-    """Displacements (n, 2, 2) of each clip, m: by twice the friction, and by a further loss of 1 m/s^2."""
+@dataclass(frozen=True)
+class _PlateMoves:
+    """Displacements (n, 2, 2) of a ball on a plate, m: by twice the friction, and by a further loss of 1 m/s^2."""
+
+    by_loss: Array
+
+    def spread(self, scatter: StretchScatter) -> Array:
+        """The covariance (2n, 2n), m^2."""
+        columns = (self.by_loss * [scatter.friction, scatter.loss_m_s2]).reshape(-1, 2)
+        return np.asarray(columns @ columns.T)
+
+
+@dataclass(frozen=True)
+class _AirMoves:
+    """Displacements (2n, n) of a body on air, m, by 1 m/s^2 at each of its times, along the motion and across it."""
+
+    times: Array  # (n,) s
+    speeds: Array  # (n,) m/s
+    along: Array
+    across: Array
+
+    @classmethod
+    def of(cls, clip: MeasuredCollision) -> _AirMoves:
+        """Integrate twice. Velocities are those of a parabola through the measured positions.
+
+        The model's own path would not do: where accelerations scatter much, its fit hardly holds to the positions.
+        """
+        times = clip.frame / clip.fps
+        curve, slope, _ = np.polyfit(times, clip.xy, 2)
+        velocity = 2 * times[:, None] * curve + slope
+        speeds = np.maximum(np.hypot(*velocity.T), 1e-9)
+        ahead = velocity / speeds[:, None]
+        left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
+        since = np.maximum(times[:, None] - times, 0.0) * np.gradient(times)
+        along, across = ((since[:, None] * way.T).reshape(2 * len(times), -1) for way in (ahead, left))
+        return cls(times, speeds, along, across)
+
+    def spread(self, scatter: StretchScatter) -> Array:
+        """The covariance (2n, 2n), m^2."""
+        grown = (self.speeds / scatter.speed_m_s) ** scatter.speed_power
+        kernel = np.exp(-np.abs(self.times[:, None] - self.times) / scatter.lasts_s) * np.outer(grown, grown)
+        both = ((scatter.loss_m_s2, self.along), (scatter.across_m_s2, self.across))
+        return np.asarray(sum(size**2 * moves @ kernel @ moves.T for size, moves in both))
+
+
+Moves = _PlateMoves | _AirMoves
+
+
+def _find_moves(clips: Sequence[MeasuredCollision], model: Model, launches: Array) -> list[Moves]:
+    """Find how friction, loss and acceleration of its own displace each stretch."""
+    if not model.sliding_friction:
+        return [_AirMoves.of(clip) for clip in clips]
     friction = differentiate_tracks(model, launches, clips, "sliding_friction")
     loss = differentiate_tracks(model, launches, clips, "rolling_decel")
-    return [np.stack([f * model.sliding_friction, d], axis=-1) for f, d in zip(friction, loss, strict=True)]
+    both = zip(friction, loss, strict=True)
+    return [_PlateMoves(np.stack([f * model.sliding_friction, d], axis=-1)) for f, d in both]
 
 
 def _add_scatter(
-    clips: Sequence[MeasuredCollision], moves: Sequence[Array], scatter: StretchScatter
+    clips: Sequence[MeasuredCollision], moves: Sequence[Moves], scatter: StretchScatter
 ) -> list[MeasuredCollision]:
-    sizes, out = np.array([scatter.friction, scatter.loss_m_s2]), []
+    out = list[MeasuredCollision]()
     for clip, move in zip(clips, moves, strict=True):
-        columns = (move * sizes).reshape(-1, 2)
-        total = (columns @ columns.T).reshape(len(move), 2, len(move), 2)
+        n = len(clip.frame)
+        moved = scatter.friction or scatter.loss_m_s2 or scatter.across_m_s2
+        total = (move.spread(scatter) if moved else np.zeros((2 * n, 2 * n))).reshape(n, 2, n, 2)
         if scatter.displacement_m:
             kernel = _kernel(clip.xy, clip.xy, scatter)
             for axis in range(2):

@@ -4,11 +4,17 @@ import dataclasses
 
 import numpy as np
 import pytest
-from discrepancy_clips import STD, exact, noisy
+from discrepancy_clips import CAMERA, FPS, STD, exact, noisy
 
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.launch import MEETS_NOTHING
 from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import list_candidates
 from discrepancy.fitting.stretch_scatter import fit_scatter
+from discrepancy.policy import current_policy
+from discrepancy.select.score_test import ScoreTests
 from synthcam.model import Model
 
 COUNT = 6
@@ -48,3 +54,75 @@ def test_a_smooth_displacement_is_found_and_whether_it_is_a_map(same):
     assert found.displacement_m == pytest.approx(3 * STD, rel=0.5)
     assert found.reach_m == pytest.approx(WAY, rel=0.5)
     assert found.map_log_ratio > 12 if same else found.map_log_ratio < -3
+
+
+# --- Bodies on air ---
+
+ON_AIR = Model().replace({"sliding_friction": 0.0, "rolling_decel": 0.02, "rolling_drag": 0.1})
+LASTS = 0.05  # s
+
+
+def glide(seed, along=0.1, across=0.03, power=1, push=(0.0, 0.0), count=24, frames=30):
+    """Stretches of bodies on air, by integration: losses and accelerations across, at 0.35 m/s, that come and go."""
+    rng, step, out = np.random.default_rng(seed), 1e-3, []
+    times = np.arange(frames) / FPS
+    for number in range(count):
+        place, speed, heading = rng.uniform(-0.01, 0.01, 2), rng.uniform(0.1, 0.6), rng.uniform(0, 2 * np.pi)
+        launch = np.array([*place, 0.0, speed, heading, MEETS_NOTHING])
+        velocity, random, path = speed * np.array([np.cos(heading), np.sin(heading)]), rng.standard_normal(2), [place]
+        for _ in range(int(times[-1] / step) + 1):
+            now = float(np.hypot(*velocity))
+            ahead = velocity / now
+            pushed = random * [along, across] * (now / 0.35) ** power - [0.02 + 0.1 * now, 0.0]
+            change = pushed[0] * ahead + pushed[1] * np.array([-ahead[1], ahead[0]]) + push
+            place, velocity = place + step * velocity + step**2 / 2 * change, velocity + step * change
+            random = random * np.exp(-step / LASTS) + np.sqrt(1 - np.exp(-2 * step / LASTS)) * rng.standard_normal(2)
+            path.append(place)
+        fine = step * np.arange(len(path))
+        xy = np.stack([np.interp(times, fine, axis) for axis in np.array(path).T], axis=-1)
+        claimed, frame = np.tile(STD**2 * np.eye(2), (frames, 1, 1)), np.arange(frames)
+        xy = xy + STD * rng.standard_normal(xy.shape)
+        one = MeasuredCollision(number, "b", CAMERA, frame, frame * 0 + 1, xy, claimed, launch, np.zeros(2))
+        out.append(one)
+    return out
+
+
+def fit_with_scatter(clips):
+    """The scatter, the clips with it in their covariance, and the fit of the model to them."""
+    first = fit_base_model(clips, ON_AIR, CLAIMED_NOISE)
+    scatter = fit_scatter(clips, first, CLAIMED_NOISE)
+    clips = scatter.add_to(clips, first.model, first.launches)
+    return scatter, clips, fit_base_model(clips, ON_AIR, CLAIMED_NOISE)
+
+
+@pytest.mark.parametrize("power", [0, 2])
+def test_accelerations_on_air_are_found_and_how_they_grow_with_the_speed(power):
+    found, _, fit = fit_with_scatter(glide(3, power=power))
+    size = (found.speed_m_s / 0.35) ** power
+    assert found.loss_m_s2 == pytest.approx(0.1 * size, rel=0.3)
+    assert found.across_m_s2 == pytest.approx(0.03 * size, rel=0.3)
+    assert found.lasts_s == pytest.approx(LASTS, rel=0.5)
+    assert found.speed_power == power
+    assert found.displacement_m < STD
+    assert fit.chi2 / (fit.points - fit.parameters) == pytest.approx(1, abs=0.1)
+
+
+def test_nothing_differs_between_bodies_that_lose_speed_alike():
+    assert fit_with_scatter(glide(4, along=0.0, across=0.0))[0].is_none
+
+
+def test_half_of_all_tilts_at_their_detection_limit_exceed_it():
+    """The limit of a tilt of the plate, from tracks without it, is what a tilt needs in tracks that scatter as much."""
+    sigma, wanted = [], current_policy().detection_limit_sigma
+    candidate = next(c for c in list_candidates(ON_AIR, ()) if c.name == "plate_tilt")
+    for seed in range(10, 13):
+        _, clips, fit = fit_with_scatter(glide(seed, count=16, frames=18))
+        evidence = WhitenedClips.of(clips, CLAIMED_NOISE)
+        (scored,) = ScoreTests.of(evidence, fit, only=[candidate]).ranking()
+        own = fit.information(scored.columns)[0][0, 0] ** -0.5
+        push = wanted * own * 5 / 7 * ON_AIR.gravity  # a body without friction rolls
+        _, clips, fit = fit_with_scatter(glide(seed, push=(push, 0.0), count=16, frames=18))
+        columns = ScoreTests.of(WhitenedClips.of(clips, CLAIMED_NOISE), fit, only=[candidate]).ranking()[0].columns
+        information, pull = fit.information([c[:, :1] for c in columns])
+        sigma.append(pull[0] / information[0, 0] ** 0.5)
+    assert np.mean(sigma) == pytest.approx(wanted, abs=3 / np.sqrt(len(sigma)))
