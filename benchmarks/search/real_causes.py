@@ -17,8 +17,8 @@ another machine searches them without the clones. Each set then gets one known c
 - time of half: the times of every second recording longer by a factor;
 - mass of ball a: camera files with another mass, by 10 and 20 %, with which the hits are measured again.
 
-Other strengths are 5 and 10 times the detection limit of the search of the same tracks without the cause. If the search
-says that these tracks cannot show the cause, it is a few per cent. A line for each set says what was put in, what was
+Other strengths are 5 and 10 times the detection limit of the search of the same tracks without the cause, but at most
+the largest value that the effect may have. If that is below 3 limits, the strength is a few per cent. A line for each set says what was put in, what was
 named, and with which value. Free stretches cannot show the time of all recordings, as the effect `clock_error` proves:
 there the right answer is to name nothing.
 
@@ -34,6 +34,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import math
 import os
 import pickle
 import time
@@ -60,6 +61,7 @@ from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.search import search
 from discrepancy.select.contact_effects import ContactClaim, select_contact_laws
 from discrepancy.wording import describe_search
+from synthcam.library import library
 from synthcam.model import Model, as_model
 from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
@@ -173,7 +175,25 @@ class Cause:
     unit: float = 1.0
     laws: tuple[str, ...] = ()
     heading: float = 0.0  # rad, of two strengths
-    otherwise: float = 0.03  # the strength if the search says that these tracks do not show it
+    otherwise: float = 0.03  # the strength if these tracks show no strength that the effect may have
+
+    def find_limit(
+        self, information: Sequence[Sequence[float]] | None, sigma: float = 5.0, least_times: float = 3.0
+    ) -> float | None:
+        """The strength that is seen with 5 sigma in its direction; None if the effect cannot have it three times.
+
+        information (k, k): of the strengths of the effect, beside the base model; None if the model absorbs it.
+        """
+        if information is None:
+            return None
+        way = np.array([np.cos(self.heading), np.sin(self.heading)])[: len(information)]
+        limit = sigma * abs(self.unit) / float(np.sqrt(way @ np.array(information) @ way))
+        return limit if least_times * limit < self.largest else None
+
+    @property
+    def largest(self) -> float:
+        """The largest strength that the effect may have."""
+        return abs(self.unit) * library()[self.effect].parameters()[0].high
 
 
 def accelerate(clip: MeasuredCollision, size: float, heading: float, model: Model) -> MeasuredCollision:
@@ -326,9 +346,10 @@ def run_set(given: CausedSet, minutes: float) -> dict[str, Any]:
         for c in found.claims
     ]
     line["law"] = found.free_law.law.name if found.free_law else None
-    shown = [s for s in found.scores if s.identifiable]
-    line["information"] = {s.effect: _measure_information(found.base_fit, s.columns).tolist() for s in shown}
-    line["own"] = {s.effect: np.linalg.solve(*found.base_fit.information(s.columns)).tolist() for s in shown}
+    line["identifiable"] = [s.effect for s in found.scores if s.identifiable]
+    seen = [s for s in found.scores if math.isfinite(s.limit)]
+    line["information"] = {s.effect: _measure_information(found.base_fit, s.columns).tolist() for s in seen}
+    line["own"] = {s.effect: np.linalg.lstsq(*found.base_fit.information(s.columns))[0].tolist() for s in seen}
     line["scatter"] = vars(found.data.scatter)
     line["gap"] = [round(x, 3) for x in (found.gap.before, found.gap.after, found.gap.floor)]
     line["stretches"] = [len(found.data.clips), len(found.data.held_out)]
@@ -344,10 +365,10 @@ def judge(line: dict[str, Any], cause: Cause, bare: dict[str, Any]) -> dict[str,
     if line["law"] and law is None:
         wrong.append(line["law"])
     own = cause.unit * np.array(bare["own"].get(cause.effect, np.zeros(len(cause.strengths))))[: len(cause.strengths)]
-    out: dict[str, Any] = {"shown": cause.effect in bare["information"], "named": bool(right or law), "false": wrong}
+    out: dict[str, Any] = {"shown": cause.effect in bare.get("identifiable", ()), "named": bool(right or law), "false": wrong}
     out["own"] = own.tolist()
     way = np.array([np.cos(cause.heading), np.sin(cause.heading)])[: len(own)]
-    if out["shown"]:
+    if cause.find_limit(bare["information"].get(cause.effect)) is not None:
         out["own_std"] = abs(cause.unit) * float(np.sqrt(way @ np.linalg.inv(bare["information"][cause.effect]) @ way))
     if right and right[0]["effect"] == cause.effect:
         values, stds = (
@@ -459,11 +480,15 @@ def run_all(
 def put_causes(bare: CausedSet, line: dict[str, Any], only: tuple[str, ...]) -> Iterator[CausedSet]:
     """Put each cause into a set, with strengths by the line of the set without one."""
     for cause in list_causes(bare.model):
-        limit = _find_limit(cause, line["information"].get(cause.effect))
+        limit, done = cause.find_limit(line["information"].get(cause.effect)), 0.0
         for times in (5.0, 10.0) if cause.name.startswith(only) else ():
             strength = cause.otherwise * times / 5
             if limit is not None and cause.name != "time of half":
-                strength = times * limit
+                strength = min(times * limit, cause.largest)
+                times = strength / limit
+            if strength == done:
+                continue
+            done = strength
             clips = [cause.apply(clip, strength) for clip in bare.clips]
             yield replace(bare, clips=clips, cause=cause, times=times, strength=strength)
 
@@ -501,17 +526,6 @@ def _measure_information(fit: ModelFit, columns: Sequence[Array]) -> Array:
     left = [c - q @ (q.T @ c) for c, q in zip(columns, fit.linearisation.launch_bases, strict=True)]
     each = np.array([float((c**2).sum()) for c in left])
     return np.asarray(fit.information(columns)[0] * (1 - each.max() / max(each.sum(), 1e-300)))
-
-
-def _find_limit(cause: Cause, information: Sequence[Sequence[float]] | None, sigma: float = 5.0) -> float | None:
-    """The strength that is seen with 5 sigma in its direction; None if the search says that none is.
-
-    information (k, k): of the strengths of the effect, beside the base model.
-    """
-    if information is None:
-        return None
-    way = np.array([np.cos(cause.heading), np.sin(cause.heading)])[: len(information)]
-    return sigma * abs(cause.unit) / float(np.sqrt(way @ np.array(information) @ way))
 
 
 if __name__ == "__main__":

@@ -89,3 +89,16 @@ def test_the_error_of_a_sets_own_acceleration_is_that_along_the_cause():
     assert line["own_std"] == pytest.approx(9.81 * np.hypot(5e-4 * along[0], 1e-3 * along[1]))
     assert line["size"] == pytest.approx(9.81 * (-3e-3 * along[0] + 1e-2 * along[1]))
     assert line["z"] == pytest.approx((line["size"] - 9.81e-3 * along[0] - 0.1) / (9.81 * 2e-4))
+
+
+@pytest.mark.parametrize(("information", "strengths"), [(1e6, [0.175, 0.35]), (4e4, [0.7]), (1e3, [0.03, 0.06])])
+def test_strengths_are_limits_or_the_largest_that_the_effect_may_have(information, strengths):
+    """A plate tilts by 0.1 rad at most, which on air is 5/7 of 0.1 g or 0.7 m/s^2."""
+    model = Model().replace({"sliding_friction": 0.0})
+    bare = real_causes.CausedSet("TIF083A-0", [], model)
+    line = {"information": {"plate_tilt": (information * np.eye(2)).tolist()}}
+    found = list(real_causes.put_causes(bare, line, ("acceleration to 20 ",)))
+    assert [one.strength for one in found] == pytest.approx(strengths, rel=0.01)
+    if information > 1e3:
+        limit = 5 * 5 / 7 * model.gravity / np.sqrt(information)
+        assert [one.times for one in found] == pytest.approx([one.strength / limit for one in found])

@@ -104,7 +104,7 @@ def fit_scatter(
         size = [np.std(c[..., -1]) * np.mean(clip.claimed_std()) for c, clip in zip(left.columns, bare, strict=True)]
         push = float(np.median(RESIDUAL_TO_PUSH * np.array(size) / lasts**2))
         start |= {"loss_m_s2": push, "across_m_s2": push, "lasts_s": float(np.median(lasts)) / 2}
-        start["displacement_m"] *= 0.3
+        start |= {"displacement_m": 0.5 * noise_m, "reach_m": 0.06 * way}  # over more, they are like accelerations
         speed = float(np.median(np.concatenate([move.speeds for move in moves if isinstance(move, _AirMoves)])))
     else:
         speed = float(np.median(np.abs(fit.launches[:, V0])))
