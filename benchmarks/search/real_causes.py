@@ -18,9 +18,9 @@ another machine searches them without the clones. Each set then gets one known c
 - mass of ball a: camera files with another mass, by 10 and 20 %, with which the hits are measured again.
 
 Other strengths are 5 and 10 times the detection limit of the search of the same tracks without the cause, but at most
-the largest value that the effect may have. If that is below 3 limits, the strength is a few per cent. A line for each set says what was put in, what was
-named, and with which value. Free stretches cannot show the time of all recordings, as the effect `clock_error` proves:
-there the right answer is to name nothing.
+the largest value that the effect may have. If that is below 3 limits, the strength is a few per cent. A line for each
+set says what was put in, what was named, and with which value. Free stretches cannot show the time of all recordings,
+as the effect `clock_error` proves: there the right answer is to name nothing.
 
 A run that was stopped continues: sets whose line the output has are not searched again.
 
@@ -365,7 +365,11 @@ def judge(line: dict[str, Any], cause: Cause, bare: dict[str, Any]) -> dict[str,
     if line["law"] and law is None:
         wrong.append(line["law"])
     own = cause.unit * np.array(bare["own"].get(cause.effect, np.zeros(len(cause.strengths))))[: len(cause.strengths)]
-    out: dict[str, Any] = {"shown": cause.effect in bare.get("identifiable", ()), "named": bool(right or law), "false": wrong}
+    out: dict[str, Any] = {
+        "shown": cause.effect in bare.get("identifiable", ()),
+        "named": bool(right or law),
+        "false": wrong,
+    }
     out["own"] = own.tolist()
     way = np.array([np.cos(cause.heading), np.sin(cause.heading)])[: len(own)]
     if cause.find_limit(bare["information"].get(cause.effect)) is not None:
