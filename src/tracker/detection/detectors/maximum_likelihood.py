@@ -39,8 +39,8 @@ from tracker.detection.likelihood.patches import (
     GlintGeometry,
     Patch,
     cut_patches,
-    estimate_shapes,
     make_windows,
+    measure_shapes,
     stack_patches,
 )
 from tracker.detection.link import assign_track_numbers, estimate_velocities
@@ -159,7 +159,7 @@ class MaximumLikelihood:
         if len(rows):
             again = self._fit_beside(patches.take(rows), bowl_of_own[rows], near.take(rows), clipped[rows])
             first.put(rows, again)
-        if not self.sensor.codec_noise:
+        if not self.sensor.codec_noise and not self.camera.matte:
             self._fit_own_blurs(patches, first, near, bowl_of_own, clipped)
         found.flags[near.is_near] |= PositionFlag.NEAR
         found, light = found.take(good), light[good]
@@ -186,16 +186,18 @@ class MaximumLikelihood:
         rows = np.flatnonzero(~clipped & (~fit.good | ((fit.glints.flags & PositionFlag.MISFIT) > 0)))
         if len(rows) == 0:
             return
-        smeared, flux, background = estimate_shapes(patches.take(rows), self.sigma)
-        typical = float(np.median(fit.glints.flux[fit.good] if fit.good.any() else flux))
+        shapes = measure_shapes(patches.take(rows), self.sigma)
+        typical = float(np.median(fit.glints.flux[fit.good] if fit.good.any() else shapes.flux))
         # A fit hardly has twice the light that was seen: the faintest candidates end below `min_share`.
-        able = fit.good[rows] | (flux > min_share / 2.5 * typical)
-        rows, smeared, flux, background = rows[able], smeared.take(able), flux[able], background[able]
-        if len(rows) == 0:
+        able = fit.good[rows] | (shapes.flux > min_share / 2.5 * typical)
+        able &= shapes.width < 1.4 * self.sigma  # else no glint: a body, or several
+        if not able.any():
             return
+        rows, shapes = rows[able], shapes.take(able)
+        smeared = replace(patches.take(rows), blur=shapes.blur, position=shapes.position)
         half = int(self.geometry.half_of_blur(smeared.blur).max())
         windows, origin = make_windows(self.geometry, smeared, half, with_profile=False)
-        known = np.column_stack([smeared.position - origin, np.log(flux), background])
+        known = np.column_stack([smeared.position - origin, np.log(shapes.flux), shapes.background])
         blur = fit_blurs(windows, known, self.sigma, self.sensor)
         in_patch = np.hypot(*blur.T) < 2.0 * self.geometry.reach
         smeared = replace(smeared, blur=np.where(in_patch[:, None], blur, smeared.blur))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -123,12 +123,19 @@ def make_windows(
     return GlintWindows(counts, used, start, blur, bowl, secondaries), origin
 
 
-def estimate_shapes(patches: CandidatePatches, sigma: float) -> tuple[CandidatePatches, Array, Array]:
-    """Estimate how glints are smeared, from the second moments of their bright pixels.
+@dataclass(frozen=True, eq=False)
+class SpotShapes(RowArrays):
+    """The shapes of n bright spots."""
 
-    sigma: width of a glint at rest, px.
-    Returns the patches with blurs, which are never zero, and positions; their fluxes and backgrounds (n,), counts.
-    """
+    position: Array  # (n, 2), px
+    blur: Array  # (n, 2), px: of a glint that is as long as the spot; never zero
+    width: Array  # (n,), px: standard deviation of the light across that
+    flux: Array  # (n,) counts
+    background: Array  # (n,) counts per pixel
+
+
+def measure_shapes(patches: CandidatePatches, sigma: float) -> SpotShapes:
+    """Measure spots by the moments of their bright pixels; sigma: width of a glint at rest, px."""
     bright_share = 0.25  # of the brightest pixel, from which on a pixel counts
     half = patches.counts.shape[1] // 2
     core, span = slice(half - 2, half + 3), np.arange(-half, half + 1.0)
@@ -144,8 +151,13 @@ def estimate_shapes(patches: CandidatePatches, sigma: float) -> tuple[CandidateP
     moments += ((by_axis * off**2).sum(axis=2) - 0.8 * sigma**2)[..., None] * np.eye(2)  # bright pixels are narrower
     spread, axes = np.linalg.eigh(moments)
     length = np.sqrt(12.0 * np.maximum(spread[:, 1], 0.04 * sigma**2))  # of an even line
-    position = np.column_stack([patches.column, patches.row]) + middle
-    return replace(patches, blur=axes[:, :, 1] * length[:, None], position=position), flux, background
+    return SpotShapes(
+        position=np.column_stack([patches.column, patches.row]) + middle,
+        blur=axes[:, :, 1] * length[:, None],
+        width=np.sqrt(np.maximum(spread[:, 0], -0.8 * sigma**2) + 0.8 * sigma**2),
+        flux=flux,
+        background=background,
+    )
 
 
 def _on_body(middle: Array, blur: Array, half: int, limit: float) -> Array:
