@@ -85,6 +85,29 @@ def collision(frames=60, contact=25.3, speed=9.0, angle=0.4, offset=0.2, centre=
     return np.stack([one, two], axis=1)
 
 
+def film_of_lost_balls(rng, count, longest, bend=None):
+    """Frames with one ball each, far from the one before, smeared in any direction; and the mean positions (n, 2).
+
+    bend: angle by which it turns in the middle of the exposure.
+    """
+    frames, places = [], []
+    for _ in range(count):
+        x, y = rng.uniform([30, 30], [170, 130])
+        length, angle = rng.uniform(3.0, longest), rng.uniform(0, 2 * np.pi)
+        ways = [length * np.array([np.cos(a), np.sin(a)]) for a in (angle, angle + (bend or 0.0))]
+        picture = np.full((160, 200), 0.5) + 4 * disc((160, 200), x, y, 7.44)
+        if bend is None:
+            picture += 1600 * spot(picture.shape, x, y, 1.0, ways[0])
+            places.append((x, y))
+        else:
+            halves = [np.array([x, y]) + side * way / 4 for side, way in zip((-1, 1), ways, strict=True)]
+            for (column, row), way in zip(halves, ways, strict=True):
+                picture += 800 * spot(picture.shape, column, row, 1.0, way / 2)
+            places.append(np.mean(halves, axis=0))
+        frames.append(expose(rng, picture))
+    return np.array(frames), np.array(places)
+
+
 def write_clip(folder: Path, frames, camera=None):
     """A clip folder: frames.tif and camera.json."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam_shared.arrays import Ints
 from tracker.detection.candidates import MAX_FOLLOWED, CandidateSearch
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
@@ -27,11 +28,14 @@ class SpotCentroids:
         h, w = frame.shape
         whole = (found.row >= self.half) & (found.row < h - self.half)
         whole &= (found.column >= self.half) & (found.column < w - self.half)
-        rows, columns = found.row[whole], found.column[whole]
+        return self.measure(frame, found.row[whole], found.column[whole], self.half)
+
+    def measure(self, frame: NDArray[Any], rows: Ints, columns: Ints, half: int) -> Glints:
+        """Measure the glints in windows, 2 half + 1 pixels wide, about these pixels (n,) of a frame."""
         n = len(rows)
         if n == 0:
             return Glints.none()
-        span = np.arange(-self.half, self.half + 1)
+        span = np.arange(-half, half + 1)
         counts = frame[(rows[:, None] + span)[:, :, None], (columns[:, None] + span)[:, None, :]].astype(float)
         ring = np.concatenate([counts[:, 0], counts[:, -1], counts[:, 1:-1, 0], counts[:, 1:-1, -1]], axis=1)
         ground = np.median(ring, axis=1)

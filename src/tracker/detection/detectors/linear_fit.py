@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam_shared.arrays import Array
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
 from tracker.detection.likelihood.cramer_rao import compute_glint_shape
@@ -24,21 +24,40 @@ class LinearFit:
         self.sensor, self.sigma, self.noise = view.camera.sensor, view.sigma, view.plate.noise
         self.find_centroids = SpotCentroids(view)
         self.half = self.find_centroids.half
+        # A larger window would hold glints of neighbours.
+        self.largest_half = max(self.half, round(0.75 * view.camera.diameter_px))
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Glints of one frame."""
-        most_px = 0.5  # of a shift by the fit, beyond which the centroid stays, with that error
-        found = self.find_centroids(frame)
-        n, span = len(found), np.arange(-self.half, self.half + 1)
-        if n == 0:
+        found, half = self.find_centroids(frame), self.half
+        if len(found) == 0:
             return found
-        columns, rows = (
-            np.clip(np.rint(at).astype(np.int64), self.half, size - 1 - self.half)
-            for at, size in zip((found.x, found.y), frame.shape[::-1], strict=True)
+        found, is_cut = self._place(frame, found, half)
+        while is_cut.any() and half + 2 <= self.largest_half:
+            half += 2
+            cut = np.flatnonzero(is_cut)
+            rows, columns = self._find_pixels(frame, found.take(cut), half)
+            wide, is_cut[cut] = self._place(frame, self.find_centroids.measure(frame, rows, columns, half), half)
+            found.put(cut, wide)
+        return found
+
+    def _find_pixels(self, frame: NDArray[Any], found: Glints, half: int) -> tuple[Ints, Ints]:
+        """Rows and columns of the pixels (n,) nearest to glints, windows about which lie in the frame."""
+        rows, columns = (
+            np.clip(np.rint(at).astype(np.int64), half, size - 1 - half)
+            for at, size in zip((found.y, found.x), frame.shape, strict=True)
         )
+        return rows, columns
+
+    def _place(self, frame: NDArray[Any], found: Glints, half: int) -> tuple[Glints, Flags]:
+        """Place glints by fits in windows 2 half + 1 pixels wide; and tell which of them seem longer than that."""
+        most_px = 0.5  # of a shift by the fit, beyond which the centroid stays, with that error
+        span = np.arange(-half, half + 1)
+        rows, columns = self._find_pixels(frame, found, half)
         counts = frame[(rows[:, None] + span)[:, :, None], (columns[:, None] + span)[:, None, :]].astype(float)
         off = np.column_stack([found.x - columns, found.y - rows])
-        shift, cov = self._fit(counts, off, self._find_blurs(counts - found.background[:, None, None], off))
+        blurs = self._find_blurs(counts - found.background[:, None, None], off)
+        shift, cov = self._fit(counts, off, blurs)
         good = np.hypot(*shift.T) < most_px
         shift = np.where(np.isfinite(shift), np.clip(shift, -most_px, most_px), most_px)
         # Standard errors by light that a plane does not describe; it lasts from frame to frame. They are from eight
@@ -48,12 +67,13 @@ class LinearFit:
         fixed = lasting[:, :, None] ** 2 * np.eye(2)
         own = np.where(good[:, None, None], cov, found.cov)
         moved = np.where(good[:, None], shift, 0.0)
-        return replace(found, x=found.x + moved[:, 0], y=found.y + moved[:, 1], cov=own + fixed, fixed=fixed)
+        is_cut = np.hypot(*blurs.T) > 2 * (half + 0.5 - self.sigma)
+        return replace(found, x=found.x + moved[:, 0], y=found.y + moved[:, 1], cov=own + fixed, fixed=fixed), is_cut
 
     def _fit(self, counts: Array, off: Array, blurs: Array) -> tuple[Array, Array]:
         """Shifts (n, 2), px, from positions `off` to those of the fits, and covariances by noise; NaN without light."""
-        n, span = len(off), np.arange(-self.half, self.half + 1)
-        spot = compute_glint_shape(off, blurs, self.sigma, self.half)
+        n, half = len(off), counts.shape[1] // 2
+        spot, span = compute_glint_shape(off, blurs, self.sigma, half), np.arange(-half, half + 1)
         plane = np.stack([np.ones((len(span), len(span))), *np.meshgrid(span, span)])
         spots = np.stack([spot.value, spot.by_x, spot.by_y], axis=1)
         parts = np.concatenate([spots, np.broadcast_to(plane, (n, *plane.shape))], axis=1).reshape(n, 6, -1)
@@ -67,7 +87,8 @@ class LinearFit:
         """Displacements (n, 2) during the exposure, px: a line of that length has the spot's second moments."""
         weight = np.maximum(light - 2.0 * self.noise, 0.0)
         weight /= np.maximum(weight.sum(axis=(1, 2), keepdims=True), 1e-9)
-        span = np.arange(-self.half, self.half + 1)
+        half = light.shape[1] // 2
+        span = np.arange(-half, half + 1)
         dx, dy = ((span - at[:, None]) for at in off.T)
         xx, yy = (weight.sum(axis=1) * dx**2).sum(axis=1), (weight.sum(axis=2) * dy**2).sum(axis=1)
         xy = (weight * dy[:, :, None] * dx[:, None, :]).sum(axis=(1, 2))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tracker_film import CAMERA, disc, expose, spot
+from tracker_film import CAMERA, film_of_lost_balls
 
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
@@ -15,32 +15,9 @@ CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no l
 FAST = TrackerSettings(link=LinkSettings(max_speed_m_s=4.0))
 
 
-def film_of_lost_balls(rng, count, longest, bend=None):
-    """Frames with one ball each, far from the one before, smeared in any direction; and the mean positions (n, 2).
-
-    bend: angle by which it turns in the middle of the exposure.
-    """
-    frames, places = [], []
-    for _ in range(count):
-        x, y = rng.uniform([30, 30], [170, 130])
-        length, angle = rng.uniform(3.0, longest), rng.uniform(0, 2 * np.pi)
-        ways = [length * np.array([np.cos(a), np.sin(a)]) for a in (angle, angle + (bend or 0.0))]
-        picture = np.full((160, 200), 0.5) + 4 * disc((160, 200), x, y, 7.44)
-        if bend is None:
-            picture += 1600 * spot(picture.shape, x, y, 1.0, ways[0])
-            places.append((x, y))
-        else:
-            halves = [np.array([x, y]) + side * way / 4 for side, way in zip((-1, 1), ways, strict=True)]
-            for (column, row), way in zip(halves, ways, strict=True):
-                picture += 800 * spot(picture.shape, column, row, 1.0, way / 2)
-            places.append(np.mean(halves, axis=0))
-        frames.append(expose(rng, picture))
-    return np.array(frames), np.array(places)
-
-
-def place(frames):
+def place(frames, name="maximum_likelihood"):
     clip = Recording(0, CAM, wrap_frames(frames))
-    return detect(clip, make_view(clip, settings=FAST)).glints
+    return detect(clip, make_view(clip, name, FAST), name).glints
 
 
 @pytest.mark.parametrize("longest", [5.0, 10.0])
@@ -63,3 +40,15 @@ def test_a_ball_that_is_hit_during_the_exposure_is_at_its_mean_position():
     off = np.hypot(*(found.xy - places[found.frame]).T)
     assert np.median(off[off < 4]) < 0.03
     assert np.sqrt(np.mean(off[off < 4] ** 2)) < 0.06
+
+
+def test_a_long_smear_is_placed_in_a_window_that_holds_it():
+    """Linear fits, for crowds. Their windows for glints at rest hold 5 px."""
+    frames, places = film_of_lost_balls(np.random.default_rng(5), 60, 10.0)
+    found = place(frames, "linear_fit")
+    off = found.xy - places[found.frame]
+    own = np.hypot(*off.T) < 3
+    assert own.sum() >= 58
+    z = off[own] / np.sqrt(found.cov[own][:, [0, 1], [0, 1]])
+    assert np.median(np.abs(off[own])) < 0.03
+    assert np.median(np.abs(z)) < 1.0
