@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam_shared.arrays import Array, Ints
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.frames import Frames, spread_frames
 from tracker.settings import DetectionSettings
 
@@ -216,10 +216,10 @@ class _CutSums:
         around = self.pixels[(words * self.WORD)[:, None] + self.around]
         return words, around.reshape(len(words), self.box, self.WORD + 2 * (self.box - 1))
 
-    def find_boxes(self, words: Ints, pixels: NDArray[np.uint8], threshold: int) -> tuple[Ints, Ints, Ints, Array]:
-        """The boxes (m,) of bright words whose sums exceed a threshold: word, row, column and sum, not cut off.
+    def find_boxes(self, words: Ints, pixels: NDArray[np.uint8], threshold: int) -> tuple[Ints, Ints, Ints]:
+        """The boxes (m,) of bright words whose sums exceed a threshold: word, first pixel, and sum, not cut off.
 
-        A box that holds columns of two words is in both.
+        A box that holds columns of two words is in both. Some boxes reach across the rim; see `locate`.
         """
         down = pixels.sum(axis=1, dtype=np.int64)
         count = self.WORD + self.box - 1
@@ -227,11 +227,12 @@ class _CutSums:
         for k in range(1, self.box):
             sums += down[:, k : k + count]
         word, at = (sums > threshold).nonzero()
-        first = words[word] * self.WORD + at + (1 - self.box)
+        return word, words[word] * self.WORD + at + (1 - self.box), sums[word, at]
+
+    def locate(self, first: Ints) -> tuple[Ints, Ints, Flags]:
+        """Rows and columns (m,) of the pixels in the middle of boxes, and whether a box lies within the rim."""
         rows, columns = np.divmod(first, self.wide)
-        inside = (first >= 0) & (columns < self.width) & (rows < self.height)
-        word, at = word[inside], at[inside]
-        return word, rows[inside], columns[inside], sums[word, at].astype(np.float64)
+        return rows, columns, (rows >= 0) & (columns < self.width) & (rows < self.height)
 
     def _add_columns(self, frame: NDArray[np.uint8], floor: NDArray[np.uint8]) -> None:
         """Lift a frame off the floor, beyond whose rim it is reflected, and add up the columns of all boxes."""
@@ -303,18 +304,23 @@ class CandidateSearch:
         if self.cut_sums and waiting:
             of_frame = np.repeat(waiting, [len(words) for words, _ in bright])
             words, pixels = (np.concatenate(part) for part in zip(*bright, strict=True))
-            word, rows, columns, sums = self.cut_sums.find_boxes(words, pixels, self.threshold)
-            strongest = self._choose_strongest(waiting, of_frame[word], columns, rows, sums)
+            word, first, sums = self.cut_sums.find_boxes(words, pixels, self.threshold)
+            strongest = self._choose_strongest(self.cut_sums, waiting, of_frame[word], first, sums)
             for k, one in zip(waiting, strongest, strict=True):
                 out[k] = one
         return [self._search_thoroughly(frames[k]) if one is None else one for k, one in enumerate(out)]
 
     def _choose_strongest(
-        self, numbers: Sequence[int], frame: Ints, columns: Ints, rows: Ints, values: Array
+        self, boxes: _CutSums, numbers: Sequence[int], frame: Ints, first: Ints, sums: Ints
     ) -> list[Candidates | None]:
         """The strongest pixels of each of these frames, as `_strongest`; None where one has too many for that."""
-        order = np.lexsort((columns, rows, -values, frame))
-        frame, columns, rows, values = frame[order], columns[order], rows[order], values[order]
+        # Sorted by frame, then the strongest and of equals the first: one key takes a fifth of the time of three.
+        shift, top = 31, 2**16 - 1  # bits of a pixel's number, and more than a sum
+        key = np.sort((((frame << 16) + top - sums) << shift) + first + boxes.box)  # first > -box
+        first = (key & (2**shift - 1)) - boxes.box
+        rows, columns, inside = boxes.locate(first)
+        frame, values = (key >> (shift + 16))[inside], (top - (key >> shift & top))[inside].astype(np.float64)
+        rows, columns = rows[inside], columns[inside]
         limits = frame.searchsorted([*numbers, numbers[-1] + 1])
         many = np.diff(limits) > RAISED_SHARE * self.plate.level.size
         chosen, left = [np.empty(0, np.int64)], np.arange(len(frame))

@@ -103,4 +103,6 @@ def test_a_glint_is_found_wherever_it_lies_in_a_word_of_pixels(column):
     frame[50:53, column] = (20, 60, 20)
     found = CandidateSearch(EmptyPlate(np.full(SIZE, 8, np.uint8), 0.3), 1.0, 10.0)(frame)
     assert found.row.tolist() == [51]
+    corner = np.roll(frame, (-51, 0), axis=(0, 1))  # the first columns, and the last word
+    assert CandidateSearch(EmptyPlate(np.full(SIZE, 8, np.uint8), 0.3), 1.0, 10.0)(corner).row.min() == 0
     assert abs(found.column[0] - column) <= 1

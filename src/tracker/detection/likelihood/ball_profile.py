@@ -19,7 +19,11 @@ class BallProfile:
     def basis(self, middle: Array, half: int) -> Array:
         """The profile's terms (n, 3, s, s) on windows of s = 2 half + 1 pixels; middle (n, 2) px from the central."""
         left = self._left(middle, half)[0]
-        return np.stack([left**power for power in POWERS], axis=1)
+        out = np.empty((len(left), len(POWERS), *left.shape[1:]))
+        np.multiply(left, left, out=out[:, 0])  # the powers are 2, 3 and 4
+        for k in range(1, len(POWERS)):
+            np.multiply(out[:, k - 1], left, out=out[:, k])
+        return out
 
     def height(self, middle: Array, blur: Array, half: int) -> tuple[Array, Array, Array]:
         """The profile's brightness (n, s, s) on windows of s = 2 half + 1 pixels, and its derivatives by x and y.
