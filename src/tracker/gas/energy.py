@@ -82,8 +82,9 @@ def measure_losses(
         rows, known = np.searchsorted(frames, path.frame), np.isfinite(value)
         shift = np.sqrt(2 * np.maximum(np.nan_to_num(value), 0)) * path.unsure[:-2]
         error = error + shift**2
-        smoothed.add(rows, shift, 0.0)
-        in_view.setdefault(path.ball, []).append((rows, value, error))
+        listed = np.isin(path.frame, frames)  # few balls have a velocity in the others
+        smoothed.add(rows[listed], shift[listed], 0.0)
+        in_view.setdefault(path.ball, []).append((rows[listed], value[listed], error[listed]))
         value, error, rows = value[known], error[known], rows[known]
         if not len(value) or lies_within_group(path):
             continue
@@ -96,7 +97,7 @@ def measure_losses(
         before[path.ball] = path, float(value[-1]), float(error[-1])
     hidden = {name: _Sums(len(frames)) for name in ("contacts", "walls", "plate")}
     _add_steps(steps, groups, paths, lost, hidden)
-    each = [_join(parts) for parts in in_view.values()]
+    each = [one for one in map(_join, in_view.values()) if len(one[0])]
     spread = _find_spread(len(frames), each)
     for rows, value, error in each:
         _add_held(seen, rows, value, error, spread)

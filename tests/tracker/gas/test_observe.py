@@ -11,13 +11,14 @@ STEPS = np.array([[0.3, 0.1], [-0.2, 0.0], [0.0, -0.4]])  # px per frame
 CAMERA = {"size": [800, 800], "fps": 250, "scale": 1e-4, "ball_diameter": DIAMETER}
 
 
-def observe(**errors):
-    """Three balls that move far apart, each at a constant velocity."""
+def observe(away=(), **errors):
+    """Three balls that move far apart, each at a constant velocity; the last is out of view in the frames `away`."""
     frame = np.arange(FRAMES)
     tables = [
         pd.DataFrame(200 * (k + 1) + frame[:, None] * step, columns=["x", "y"]).assign(frame=frame, particle=k)
         for k, step in enumerate(STEPS)
     ]
+    tables[-1] = tables[-1][~tables[-1]["frame"].isin(away)]
     half = SIDE / 2
     return tracker.observe_gas(tracker.measure(pd.concat(tables), CAMERA | errors), area=(-half, -half, half, half))
 
@@ -46,3 +47,11 @@ def test_each_error_of_the_camera_file_goes_where_its_key_does(key, of_temperatu
     without = exact.values["contacts_theory_std"]
     added = np.sqrt(max(theory[1] ** 2 - without**2, 0)) / theory[0]
     assert added == pytest.approx(of_contacts * share, abs=0.3 * share)
+
+
+@pytest.mark.parametrize("away", [range(25, 40), range(12, 24)])
+def test_frames_with_two_balls_add_nothing_to_those_with_three(away):
+    gas = observe(away)
+    assert set(gas.time["frame"]).isdisjoint(away)
+    energy = (STEPS**2).sum() / 2 * (250 * 1e-4) ** 2
+    np.testing.assert_allclose(gas.time["energy"], energy, rtol=1e-6)
