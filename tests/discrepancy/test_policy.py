@@ -359,17 +359,18 @@ def test_an_effect_without_which_all_else_explains_as_much_leaves_nothing_missin
     assert test.rejection.leaves_nothing_missing
 
 
-def claim_alone(monkeypatch, end=None, from_zero=9.0, is_stretch=False, level=4.2):
-    """The test of an effect, of which everything else passes."""
-    claim = Made(sigma=30.0, aliases=("hop",), values={}, shape_at_limit=lambda: end)
+def claim_alone(monkeypatch, end=None, from_zero=9.0, is_stretch=False, level=4.2, beside=None):
+    """The test of an effect, of which everything else passes; beside: its sigma, beside another effect of 30 sigma."""
+    claims = [Made(sigma=sigma, aliases=("hop",), values={}, shape_at_limit=lambda: end) for sigma in (beside or 30, 30)]
+    claims, names = (claims, ("hop", "bounce")) if beside else (claims[:1], ("hop",))
     monkeypatch.setattr(claim_tests.Jackknife, "of", lambda *_: Made(distance_from_zero=lambda values: from_zero))
-    monkeypatch.setattr(claim_tests, "describe_claims", lambda *_: (claim,))
+    monkeypatch.setattr(claim_tests, "describe_claims", lambda *_: claims)
     monkeypatch.setattr(claim_tests, "make_selection", lambda *_: Made(best=None))
     monkeypatch.setattr(claim_tests, "compare_models", lambda *_: (PASSING, PASSING))
     monkeypatch.setattr(claim_tests, "find_strength_variation", lambda *_: Made(rejects=lambda sigma: False))
-    selected = selection(state=(Made(name="hop", strengths=()),))
+    selected = selection(state=tuple(Made(name=name, strengths=()) for name in names))
     library = Made(evidence=Made(clips=[Made(is_stretch=is_stretch)]), required_sigma=4.2)
-    (test,), *_ = claim_tests._test_effects(selected, library, HELD_OUT, level)
+    (test, *_), *_ = claim_tests._test_effects(selected, library, HELD_OUT, level)
     return test
 
 
@@ -388,6 +389,14 @@ def test_a_size_that_agrees_with_zero_by_its_scatter_is_not_claimed(monkeypatch,
         assert (test.rejection, test.from_zero) == (expected, from_zero)
     assert claim_alone(monkeypatch, from_zero=from_zero).rejection is None
     assert beside_law(monkeypatch, from_zero=from_zero)[0].rejection is expected
+
+
+def test_a_weaker_effect_of_stretches_must_differ_from_zero_by_the_level_for_all_candidates(monkeypatch):
+    """The stronger one needs 3 sigma by the scatter of the stretches, and so do both in whole collisions."""
+    for own_sigma, is_stretch, expected in ((5.0, True, True), (60.0, True, False), (5.0, False, False)):
+        test = claim_alone(monkeypatch, from_zero=3.5, is_stretch=is_stretch, level=4.2, beside=own_sigma)
+        assert (test.rejection is Rejection.AGREES_WITH_ZERO) is expected
+    assert claim_alone(monkeypatch, from_zero=4.4, is_stretch=True, beside=5.0).rejection is None
 
 
 def test_two_aliases_that_fail_the_same_test_do_not_replace_one_another_without_end(monkeypatch):

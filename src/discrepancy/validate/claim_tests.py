@@ -429,12 +429,18 @@ def validate(selection: Selection, library: LibraryFits, held_out: HeldOutClips)
 
 
 def judge_claim(
-    claim: EffectClaim, predictions: Predictions, level: float, from_zero: float = math.inf, absorbed: bool = False
+    claim: EffectClaim,
+    predictions: Predictions,
+    level: float,
+    from_zero: float = math.inf,
+    absorbed: bool = False,
+    least_from_zero: float = 0.0,
 ) -> Rejection | None:
     """Judge a claim that needs `level` sigma.
 
     from_zero: sigma by which its strengths differ from zero by their scatter between clips; inf where the errors follow
-    from noise. absorbed: everything else explains as much without it.
+    from noise. absorbed: everything else explains as much without it. least_from_zero: what from_zero must reach, if
+    that is more than `SearchPolicy.leave_one_out_sigma`.
     """
     if not claim.sigma > level:
         return Rejection.NOT_SIGNIFICANT
@@ -444,7 +450,8 @@ def judge_claim(
         return rejection
     if claim.shape_at_limit():
         return Rejection.SHAPE_AT_LIMIT
-    return Rejection.AGREES_WITH_ZERO if from_zero < current_policy().leave_one_out_sigma else None
+    least = max(current_policy().leave_one_out_sigma, least_from_zero)
+    return Rejection.AGREES_WITH_ZERO if from_zero < least else None
 
 
 def _test_effects(
@@ -458,9 +465,14 @@ def _test_effects(
 
     level: the sigma that an effect needs. replaced: effects that do not come back in the place of their alias. Two
     effects that fail the same test would else replace one another without end.
+
+    A weaker effect of free stretches, beside a stronger one, is the best of all candidates in what the stronger one
+    leaves. So its size must differ from zero by the level that is corrected for them, also by the scatter of the
+    stretches.
     """
     tests, without, claims = [], dict[str, Selection](), describe_claims(library, selection.state)
-    by_scatter = level > library.required_sigma or any(clip.is_stretch for clip in library.evidence.clips)
+    is_cut = any(clip.is_stretch for clip in library.evidence.clips)
+    by_scatter, strongest = level > library.required_sigma or is_cut, max((c.sigma for c in claims), default=0.0)
     jackknife = Jackknife.of(selection.best) if by_scatter and selection.state else None
 
     for candidate, claim in zip(selection.state, claims, strict=True):
@@ -468,7 +480,8 @@ def _test_effects(
         without[candidate.name] = less
         predictions = compare_models(claim.sigma, less.best, selection.best, held_out)
         from_zero = jackknife.distance_from_zero(claim.values) if jackknife else math.inf
-        rejection, variation = judge_claim(claim, predictions, level, from_zero), None
+        least = library.required_sigma if is_cut and claim.sigma < strongest else 0.0
+        rejection, variation = judge_claim(claim, predictions, level, from_zero, least_from_zero=least), None
         if rejection and rejection is not Rejection.NOT_SIGNIFICANT:
             for alias in claim.aliases[1:]:
                 other = None if alias in replaced else exchange_effect(library, selection, candidate, alias)
