@@ -18,9 +18,9 @@ another machine searches them without the clones. Each set then gets one known c
 - mass of ball a: camera files with another mass, by 10 and 20 %, with which the hits are measured again.
 
 Other strengths are 5 and 10 times the detection limit of the search of the same tracks without the cause, but at most
-the largest value that the effect may have. If that is below 3 limits, the strength is a few per cent. A line for each
-set says what was put in, what was named, and with which value. Free stretches cannot show the time of all recordings,
-as the effect `clock_error` proves: there the right answer is to name nothing.
+0.8 of the largest value that the effect may have. If that is below 3 limits, the strength is a few per cent. A line for
+each set says what was put in, what was named, and with which value. Free stretches cannot show the time of all
+recordings, as the effect `clock_error` proves: there the right answer is to name nothing.
 
 A run that was stopped continues: sets whose line the output has are not searched again.
 
@@ -192,8 +192,8 @@ class Cause:
 
     @property
     def largest(self) -> float:
-        """The largest strength that the effect may have."""
-        return abs(self.unit) * library()[self.effect].parameters()[0].high
+        """The largest strength that is put in: the effect may have more, since the tracks have some of their own."""
+        return 0.8 * abs(self.unit) * library()[self.effect].parameters()[0].high
 
 
 def accelerate(clip: MeasuredCollision, size: float, heading: float, model: Model) -> MeasuredCollision:

@@ -361,7 +361,9 @@ def test_an_effect_without_which_all_else_explains_as_much_leaves_nothing_missin
 
 def claim_alone(monkeypatch, end=None, from_zero=9.0, is_stretch=False, level=4.2, beside=None):
     """The test of an effect, of which everything else passes; beside: its sigma, beside another effect of 30 sigma."""
-    claims = [Made(sigma=sigma, aliases=("hop",), values={}, shape_at_limit=lambda: end) for sigma in (beside or 30, 30)]
+    claims = [
+        Made(sigma=sigma, aliases=("hop",), values={}, shape_at_limit=lambda: end) for sigma in (beside or 30, 30)
+    ]
     claims, names = (claims, ("hop", "bounce")) if beside else (claims[:1], ("hop",))
     monkeypatch.setattr(claim_tests.Jackknife, "of", lambda *_: Made(distance_from_zero=lambda values: from_zero))
     monkeypatch.setattr(claim_tests, "describe_claims", lambda *_: claims)
