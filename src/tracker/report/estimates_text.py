@@ -13,6 +13,7 @@ import pandas as pd
 
 from synthcam_shared.report.numbers import NOT_KNOWN, format_with_error
 from tracker.measurement.collision.adequacy import CROWD, MEASURED, MISFIT, ONE_BALL, TOGETHER, Flag
+from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.local.recommendation import find_recommended_suffix
 from tracker.report.quantities import QUANTITIES, Quantity
@@ -96,14 +97,20 @@ def describe_rolling(row: Mapping[str, Any]) -> str:
     """Say in the text which rolling loss a ball by itself has where it is first seen; "" without one.
 
     The two parts of the loss, C_roll and D_roll, are hardly told from one another where the speed changes little. Their
-    sum is known better, and is given even where both parts are refused.
+    sum is known better, and is given even where both parts are refused. A large loss is that of a slide.
     """
+    largest_of_rolling = 0.05 * GRAVITY  # m/s^2; balls on cloth lose a fifth of that
     found = json.loads(row.get("cov") or "{}").get("rolling_loss")
     if row["status"] != "no_collision" or found is None:
         return ""
     ((value, std),) = np.array(found, dtype=float)
     loss = format_with_error(1e2 * value, 1e2 * std) if 0 < std < abs(value) else NOT_KNOWN
-    return "" if loss == NOT_KNOWN else f"The rolling loss at that speed is {loss} cm/s²"
+    if loss == NOT_KNOWN:
+        return ""
+    if value - 3 * std < largest_of_rolling:
+        return f"The rolling loss at that speed is {loss} cm/s²"
+    friction = format_with_error(value / GRAVITY, std / GRAVITY)
+    return f"It loses {loss} cm/s², more than balls that roll: if it slides on a level plate, μk is {friction}"
 
 
 def list_quantities(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES) -> list[QuantityLine]:
@@ -140,7 +147,7 @@ def describe_status(row: Mapping[str, Any]) -> str:
         frames = f"from frame {row['contact_first']:.0f} to {row['contact_last']:.0f}"
         return f"Two balls collide and stay together {frames}"
     if row["status"] == "no_collision":
-        return "No two balls touch" + (". One ball rolls by itself" if _is_known(row, "v0") else "")
+        return "No two balls touch" + (". One ball moves by itself" if _is_known(row, "v0") else "")
     if row["status"] == ONE_BALL:
         return f"One ball is followed, and its track is written. There is {ONE_BALL.removeprefix('one ball: ')}"
     if row["status"] == CROWD:

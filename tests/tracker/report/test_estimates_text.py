@@ -87,12 +87,16 @@ def test_what_was_not_measured_is_said():
     assert alone.startswith("clip 0: One ball is followed, and its track is written. There is no collision to measure")
     speed = {"v0": 0.5, "v0_std": 0.01, "drag": 0.2, "decel": 0.1, "cov": '{"rolling_loss": [[0.2, 0.0317]]}'}
     rolling = "\n".join(format_for_terminal(pd.DataFrame([row("no_collision", **speed)])))
-    assert "No two balls touch. One ball rolls by itself." in rolling
+    assert "No two balls touch. One ball moves by itself." in rolling
     assert "50.0(10)" in rolling
     assert "speed of the ball where it is first seen" in rolling
     assert "The rolling loss at that speed is 20.0(32) cm/s²." in rolling
     refused = speed | {"drag": np.nan, "decel": np.nan}
     assert describe_rolling(row("no_collision", **refused)) == "The rolling loss at that speed is 20.0(32) cm/s²"
+    sliding = speed | {"cov": '{"rolling_loss": [[2.27, 0.02]]}'}
+    assert describe_rolling(row("no_collision", **sliding)) == (
+        "It loses 227.0(20) cm/s², more than balls that roll: if it slides on a level plate, μk is 0.2314(20)"
+    )
     for unknown in ("[[null,null]]", "[[0.2,null]]", "[[0.2,0.3]]"):
         assert describe_rolling(row("no_collision", **speed | {"cov": f'{{"rolling_loss":{unknown}}}'})) == ""
     nothing = row("no_collision", **{f"{name}{end}": np.nan for name in OF_ONE_BALL for end in ("", "_std")})
