@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from synthcam.camera.render import windowless
+from synthcam.camera.render.ball_squares import BallSquares
 from synthcam_shared.arrays import Float32
 from synthcam_shared.errors import NoGL as NoGL
 
@@ -42,6 +43,7 @@ class BallBatch(NamedTuple):
     jobs: Float32  # instance matrices (n, 4, 4)
     others: Float32  # their neighbours (n, k, 4)
     defines: dict[str, int]  # of the shader
+    squares: Sequence[BallSquares] | None = None  # as of `divide_balls`
 
 
 class _Programs(pyrender.shader_program.ShaderProgramCache if pyrender else object):  # type: ignore[misc]
@@ -63,21 +65,29 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
         self.uniforms: dict[str, Any] = {}
         self.batches: list[BallBatch] = []
         self.rows = BUFFER_SIDE
-        self._others: Any = None
+        self._textures: list[int] = []  # of the neighbours and of the jobs
+        self._points: tuple[int, int] | None = None  # vertex array and buffer of the squares
         self._main_fb: Any
+        self._marks: Any  # the stencil buffer, in which squares mark what is drawn
         self._main_fb_dims: tuple[int, int]
 
     def _configure_main_framebuffer(self) -> None:
         size = (self.viewport_width, self.viewport_height)
         if self._main_fb is not None and self._main_fb_dims != size:
             self._delete_main_framebuffer()
+            GL.glDeleteRenderbuffers(1, [self._marks])
         if self._main_fb is None:
             self._main_cb = self._main_cb_ms = GL.glGenRenderbuffers(1)
             GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, self._main_cb)
             GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, GL.GL_R32F, *size)
             self._main_fb = self._main_fb_ms = GL.glGenFramebuffers(1)
             GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._main_fb)
-            GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, GL.GL_COLOR_ATTACHMENT0, GL.GL_RENDERBUFFER, self._main_cb)
+            self._marks = GL.glGenRenderbuffers(1)
+            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, self._marks)
+            GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, GL.GL_DEPTH24_STENCIL8, *size)
+            parts = {GL.GL_COLOR_ATTACHMENT0: self._main_cb, GL.GL_DEPTH_STENCIL_ATTACHMENT: self._marks}
+            for part, buffer in parts.items():
+                GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, part, GL.GL_RENDERBUFFER, buffer)
             self._main_fb_dims = size
 
     def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
@@ -89,37 +99,76 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
         GL.glEnable(GL.GL_BLEND)
         GL.glBlendFunc(GL.GL_ONE, GL.GL_ONE)
         for batch in self.batches:
-            self._program_cache.wanted = batch.defines
-            own = self._get_primitive_program(primitive, flags, pyrender.constants.ProgramFlags.USE_MATERIAL)
-            own._bind()
+            jobs = np.ascontiguousarray(batch.jobs)
+            self._load_texture(0, batch.others)
+            if batch.squares:
+                self._load_texture(1, jobs)
+                self._draw_squares(primitive, flags, batch)
+                continue
+            self._use_program(primitive, flags, batch.defines)
             primitive._bind()  # again: a program that is new has bound another array
             GL.glBindBuffer(GL.GL_ARRAY_BUFFER, primitive._buffers[1])  # pyrender's instance matrices
-            for name, value in self.uniforms.items():
-                if GL.glGetUniformLocation(own._program_id, name) >= 0:  # otherwise the program does not use it
-                    own.set_uniform(name, value)
-            self._load_others(np.ascontiguousarray(batch.others))
-            jobs = np.ascontiguousarray(batch.jobs)
             GL.glBufferSubData(GL.GL_ARRAY_BUFFER, 0, jobs.nbytes, jobs)
             count = primitive.indices.size
             GL.glDrawElementsInstanced(primitive.mode, count, GL.GL_UNSIGNED_INT, None, len(jobs))
         primitive._unbind()
+
+    def _use_program(self, primitive: Any, flags: int, defines: dict[str, int]) -> None:
+        self._program_cache.wanted = defines
+        program = self._get_primitive_program(primitive, flags, pyrender.constants.ProgramFlags.USE_MATERIAL)
+        program._bind()
+        for name, value in self.uniforms.items():
+            if GL.glGetUniformLocation(program._program_id, name) >= 0:  # otherwise the program does not use it
+                program.set_uniform(name, value)
+
+    def _draw_squares(self, primitive: Any, flags: int, batch: BallBatch) -> None:
+        """Draw the squares of a batch as points, which have no diagonal to be drawn twice.
+
+        A bit of the stencil buffer for the first, and one for the second exposure of a tile mark what is drawn.
+        """
+        assert batch.squares is not None
+        if self._points is None:
+            # Two buffers: for one, PyOpenGL 3.1.0, which pyrender needs, passes a pointer that Python 3.12 refuses.
+            self._points = int(GL.glGenVertexArrays(2)[0]), int(GL.glGenBuffers(2)[0])
+            GL.glEnable(GL.GL_PROGRAM_POINT_SIZE)
+        GL.glEnable(GL.GL_STENCIL_TEST)
+        GL.glStencilMask(0xFF)
+        GL.glClear(GL.GL_STENCIL_BUFFER_BIT)
+        GL.glStencilOp(GL.GL_KEEP, GL.GL_KEEP, GL.GL_INVERT)
+        programs: tuple[dict[str, int], ...] = {}, {"LONE": 1, "APART": 1, "INSIDE": 1}, {"LONE": 1, "APART": 1}
+        for defines, turns in zip(programs, zip(*batch.squares, strict=True), strict=True):
+            if not any(map(len, turns)):
+                continue
+            self._use_program(primitive, flags, batch.defines | {"SQUARES": 1} | defines)
+            GL.glBindVertexArray(self._points[0])
+            GL.glBindBuffer(GL.GL_ARRAY_BUFFER, self._points[1])
+            points = np.concatenate(turns)
+            GL.glBufferData(GL.GL_ARRAY_BUFFER, points.nbytes, points, GL.GL_STREAM_DRAW)
+            GL.glEnableVertexAttribArray(0)
+            GL.glVertexAttribPointer(0, 4, GL.GL_FLOAT, False, 0, None)
+            first = 0
+            for bit, squares in zip((1, 2, 0), turns, strict=True):
+                GL.glStencilFunc(GL.GL_EQUAL, 0, bit)
+                GL.glStencilMask(bit)
+                GL.glDrawArrays(GL.GL_POINTS, first, len(squares))
+                first += len(squares)
+        GL.glDisable(GL.GL_STENCIL_TEST)
 
     def _read_main_framebuffer(self, scene: Any, flags: int) -> Float32:
         GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb)
         read = GL.glReadPixels(0, 0, self.viewport_width, self.rows, GL.GL_RED, GL.GL_FLOAT)
         return np.frombuffer(read, np.float32).reshape(self.rows, self.viewport_width)
 
-    def _load_others(self, others: Float32) -> None:
-        """Load the neighbours (n, k, 4) of each ball, which the shader reads as rows of a texture."""
-        if self._others is None:
-            # Two: for one, PyOpenGL 3.1.0, which pyrender needs, passes a ctypes pointer that Python 3.12 refuses.
-            self._others = int(GL.glGenTextures(2)[0])
-        GL.glActiveTexture(GL.GL_TEXTURE0)
-        GL.glBindTexture(GL.GL_TEXTURE_2D, self._others)
+    def _load_texture(self, unit: int, rows: Float32) -> None:
+        """Load rows (n, k, 4), one a ball, as the texture that the shader reads by this unit."""
+        if not self._textures:
+            self._textures = [int(each) for each in GL.glGenTextures(2)]
+        GL.glActiveTexture(GL.GL_TEXTURE0 + unit)
+        GL.glBindTexture(GL.GL_TEXTURE_2D, self._textures[unit])
         for setting in (GL.GL_TEXTURE_MIN_FILTER, GL.GL_TEXTURE_MAG_FILTER):
             GL.glTexParameteri(GL.GL_TEXTURE_2D, setting, GL.GL_NEAREST)
-        rows, columns = others.shape[:2]
-        GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, GL.GL_RGBA32F, columns, rows, 0, GL.GL_RGBA, GL.GL_FLOAT, others)
+        size, texels = rows.shape[:2][::-1], np.ascontiguousarray(rows)
+        GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, GL.GL_RGBA32F, *size, 0, GL.GL_RGBA, GL.GL_FLOAT, texels)
 
 
 class _Screen(pyrender.OffscreenRenderer if pyrender else object):  # type: ignore[misc]
@@ -152,6 +201,7 @@ class Canvas:
             }
         except Exception as error:
             raise NoGL(_no_gl(" ".join(str(error).split()) or type(error).__name__)) from error
+        self.is_software = "llvmpipe" in self.info["renderer"]
         self.info |= {"platform": os.environ["PYOPENGL_PLATFORM"], "why": OPENGL_CHOICE}
         quad = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
         room_for_jobs = np.zeros((MAX_BALLS_PER_CALL, 4, 4), np.float32)
@@ -165,10 +215,10 @@ class Canvas:
         screen.viewport_height, screen.viewport_width = max(BUFFER_SIDE, size[0]), max(BUFFER_SIDE, size[1])
         self._renderer.rows = size[0]
         atlas = np.array([screen.viewport_width, screen.viewport_height], float)
-        self._renderer.uniforms = uniforms | {"atlas": atlas, "others": 0}
+        self._renderer.uniforms = uniforms | {"atlas": atlas, "others": 0, "jobs": 1}
         for first in range(0, max(len(batch.jobs) for batch in batches), MAX_BALLS_PER_CALL):
             part = slice(first, first + MAX_BALLS_PER_CALL)
-            parts = [BallBatch(batch.jobs[part], batch.others[part], batch.defines) for batch in batches]
+            parts = [batch._replace(jobs=batch.jobs[part], others=batch.others[part]) for batch in batches]
             self._renderer.batches = [batch for batch in parts if len(batch.jobs)]
             for batch in self._renderer.batches:
                 batch.jobs[:, 3, 2] = np.arange(len(batch.jobs))

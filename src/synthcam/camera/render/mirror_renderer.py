@@ -35,7 +35,8 @@ from synthcam.camera.plate import (
     shadow_casters,
 )
 from synthcam.camera.reflections import MIN_RELATIVE_FLUX, find_neighbours
-from synthcam.camera.render.canvas import BUFFER_SIDE, BallBatch, get_canvas
+from synthcam.camera.render.ball_squares import divide_balls
+from synthcam.camera.render.canvas import BUFFER_SIDE, MAX_BALLS_PER_CALL, BallBatch, get_canvas
 from synthcam.camera.renderer import Centres, Renderer
 from synthcam.camera.surface import STEEL_ON_BLACK, STEEL_REFLECTANCE, Surface
 from synthcam_shared.arrays import Array, Float32, Index
@@ -366,7 +367,10 @@ class MirrorRenderer(Renderer):
         """Sort balls by their number of neighbours: in a program for so many, a neighbour costs a third."""
         defines = {"SCENE": int(scene)} | self._defines
         if len(self.radii) <= 2 or scene == DrawnParts.SHADES:
-            return [BallBatch(jobs, others, defines)]
+            whole = BallBatch(jobs, others, defines)
+            if scene != DrawnParts.BALLS or len(jobs) > MAX_BALLS_PER_CALL or not self._canvas.is_software:
+                return [whole]
+            return [whole._replace(squares=divide_balls(jobs, others[:, 0]))]
         # A neighbour whose outline meets the ball's in the picture covers a part of it, or is covered.
         eye = jobs[:, None, 2, :3] / np.linalg.norm(jobs[:, None, 2, :3], axis=-1, keepdims=True)
         aside = others[..., :3] - (others[..., :3] * eye).sum(-1, keepdims=True) * eye

@@ -8,7 +8,8 @@ uniform vec3 up;          // the plate's normal
 uniform vec3 lamp;        // from the centre of the plate's quad
 // SCENE is 0 for balls on an even plate, 1 for balls and their images in the plate, 2 for what they take from its
 // light, 3 for the even plate itself; PAIR says that no ball has two neighbours, NEAR that none has more, APART that the
-// picture shows each ball apart from the others. Programs of their own, for software OpenGL runs every branch there is,
+// picture shows each ball apart from the others, LONE that the ball mirrors no other either,
+// INSIDE that it covers each sample wholly. Programs of their own, for software OpenGL runs every branch there is,
 // and a fetch costs as much as a bounce.
 uniform float gloss;      // reflectance of the plate
 uniform float zenith;     // radiance of the room overhead
@@ -121,8 +122,12 @@ float seen(vec3 from, vec3 way, float near) {
     vec3 point = from + near * way;
     int here = SELF;
     float kept = 1.0;
-    // No constant, or the loop would be unrolled, and every sample run through every bounce.
+    // Elsewhere no constant, or the loop would be unrolled, and every sample run through every bounce.
+#ifdef LONE
+    const int most = 1;
+#else
     int most = rest.x > 0.0 ? 4 : 1;
+#endif
     for (int bounce = 0; bounce < most; bounce++) {
         vec4 hit = ball(here);
         vec3 normal = (point - hit.xyz) / hit.w;
@@ -247,7 +252,9 @@ void main() {
     vec2 sample_at = (gl_FragCoord.xy - place.xy) - place.zw;
     vec3 from = vec3(lens.xy * sample_at.x + lens.zw * sample_at.y, 0.0);
     vec3 way = normalize(from - eye.xyz);
-#if SCENE == 2
+#ifdef INSIDE
+    float value = seen(from, way, touch(from, way, ball(SELF))) - rest.w;
+#elif SCENE == 2
     float value = shade(from, way);
 #elif SCENE == 3
     float value = lit_plate(from, way);
