@@ -359,11 +359,12 @@ def test_an_effect_without_which_all_else_explains_as_much_leaves_nothing_missin
     assert test.rejection.leaves_nothing_missing
 
 
-def claim_alone(monkeypatch, end=None, from_zero=9.0, is_stretch=False, level=4.2, beside=None):
+def claim_alone(
+    monkeypatch, end=None, from_zero=9.0, is_stretch=False, level=4.2, beside=None, strength=None, aliases=("hop",)
+):
     """The test of an effect, of which everything else passes; beside: its sigma, beside another effect of 30 sigma."""
-    claims = [
-        Made(sigma=sigma, aliases=("hop",), values={}, shape_at_limit=lambda: end) for sigma in (beside or 30, 30)
-    ]
+    limits = {"shape_at_limit": lambda: end, "strength_at_limit": lambda: strength}
+    claims = [Made(sigma=sigma, aliases=aliases, values={}, **limits) for sigma in (beside or 30, 30)]
     claims, names = (claims, ("hop", "bounce")) if beside else (claims[:1], ("hop",))
     monkeypatch.setattr(claim_tests.Jackknife, "of", lambda *_: Made(distance_from_zero=lambda values: from_zero))
     monkeypatch.setattr(claim_tests, "describe_claims", lambda *_: claims)
@@ -399,6 +400,20 @@ def test_a_weaker_effect_of_stretches_must_differ_from_zero_by_the_level_for_all
         test = claim_alone(monkeypatch, from_zero=3.5, is_stretch=is_stretch, level=4.2, beside=own_sigma)
         assert (test.rejection is Rejection.AGREES_WITH_ZERO) is expected
     assert claim_alone(monkeypatch, from_zero=4.4, is_stretch=True, beside=5.0).rejection is None
+
+
+def test_a_weaker_effect_of_stretches_at_an_end_of_its_range_is_not_claimed(monkeypatch):
+    at_end = {"strength": ("hop.bounce", 1.0), "from_zero": np.inf}
+    test = claim_alone(monkeypatch, is_stretch=True, beside=5.0, **at_end)
+    assert (test.rejection, test.shape_at_limit) == (Rejection.SHAPE_AT_LIMIT, ("hop.bounce", 1.0))
+    assert claim_alone(monkeypatch, is_stretch=True, beside=60.0, **at_end).rejection is None
+
+
+def test_no_alias_takes_the_place_of_a_weaker_effect_that_scatters(monkeypatch):
+    monkeypatch.setattr(claim_tests, "exchange_effect", lambda *_: Made(best=None))
+    for own_sigma, expected in ((5.0, Rejection.AGREES_WITH_ZERO), (60.0, Rejection.REPLACED)):
+        test = claim_alone(monkeypatch, from_zero=2.0, is_stretch=True, beside=own_sigma, aliases=("hop", "scale"))
+        assert test.rejection is expected
 
 
 def test_two_aliases_that_fail_the_same_test_do_not_replace_one_another_without_end(monkeypatch):

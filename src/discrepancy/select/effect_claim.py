@@ -71,6 +71,10 @@ class EffectClaim:
         """A shape parameter at an end of its range but zero, and its value: balls follow another law. Or None."""
         return next(((n, v) for n, v in self.shapes.items() if v != 0 and is_at_limit(n, v)), None)
 
+    def strength_at_limit(self) -> tuple[str, float] | None:
+        """A strength at an end of its range but zero, and its value; or None."""
+        return next(((n, v) for n, v in self.values.items() if v != 0 and is_at_limit(n, v)), None)
+
     def is_in(self, base: Model) -> bool:
         """True if the base model has this effect, with another strength."""
         return any(base.value(k) != 0 for k in self.values)

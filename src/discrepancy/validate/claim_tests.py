@@ -319,7 +319,8 @@ class ClaimTest:
     leave_one_out: HeldOutTest
     rejection: Rejection | None = None
     is_free_law: bool = False  # false for an effect of the library
-    shape_at_limit: tuple[str, float] | None = None  # a shape parameter at the end of its range, and its value
+    # A shape parameter at the end of its range, or such a strength of a weaker effect of stretches; and its value.
+    shape_at_limit: tuple[str, float] | None = None
     variation: StrengthVariation | None = None  # the change of the strength, if that rejects the claim
     from_zero: float = math.inf  # sigma of its size, by the scatter of the clips; inf where noise gives the error
 
@@ -468,7 +469,8 @@ def _test_effects(
 
     A weaker effect of free stretches, beside a stronger one, is the best of all candidates in what the stronger one
     leaves. So its size must differ from zero by the level that is corrected for them, also by the scatter of the
-    stretches.
+    stretches. If it does not, no alias takes its place: that would be one more choice from the same evidence. A
+    strength at an end of its range has no error, so it is not claimed either.
     """
     tests, without, claims = [], dict[str, Selection](), describe_claims(library, selection.state)
     is_cut = any(clip.is_stretch for clip in library.evidence.clips)
@@ -480,10 +482,14 @@ def _test_effects(
         without[candidate.name] = less
         predictions = compare_models(claim.sigma, less.best, selection.best, held_out)
         from_zero = jackknife.distance_from_zero(claim.values) if jackknife else math.inf
-        least = library.required_sigma if is_cut and claim.sigma < strongest else 0.0
+        is_weaker = is_cut and claim.sigma < strongest
+        least, at_limit = library.required_sigma if is_weaker else 0.0, claim.shape_at_limit()
         rejection, variation = judge_claim(claim, predictions, level, from_zero, least_from_zero=least), None
-        if rejection and rejection is not Rejection.NOT_SIGNIFICANT:
-            for alias in claim.aliases[1:]:
+        if is_weaker and not rejection and (at_limit := claim.strength_at_limit()):
+            rejection = Rejection.SHAPE_AT_LIMIT
+        elif rejection and rejection is not Rejection.NOT_SIGNIFICANT:
+            is_scattered = is_weaker and rejection is Rejection.AGREES_WITH_ZERO
+            for alias in claim.aliases[1:] if not is_scattered else ():
                 other = None if alias in replaced else exchange_effect(library, selection, candidate, alias)
                 if other and not judge_predictions(*compare_models(claim.sigma, less.best, other.best, held_out)):
                     without[candidate.name], rejection = other, Rejection.REPLACED
@@ -493,7 +499,7 @@ def _test_effects(
             if found.rejects(claim.sigma):
                 rejection, variation = Rejection.VARIES, found
         test = ClaimTest(candidate.name, claim.sigma, *predictions, rejection, from_zero=from_zero)
-        tests.append(replace(test, shape_at_limit=claim.shape_at_limit(), variation=variation))
+        tests.append(replace(test, shape_at_limit=at_limit, variation=variation))
     return tests, without, claims
 
 
