@@ -81,7 +81,10 @@ def draw_glints(count: int) -> tuple[Any, dict[str, Any], Any]:
 def read_places(clip: Clip) -> Any:
     """True centres (balls, frames, 2), px; NaN where a ball is out of the picture."""
     table = clip.tracks.pivot(index="particle", columns="frame")
-    return np.stack([table[name].to_numpy() for name in ("x_mean_px", "y_mean_px")], axis=-1)
+    places = np.stack([table[name].to_numpy() for name in ("x_mean_px", "y_mean_px")], axis=-1)
+    inside = np.all((places > -0.5) & (places < np.array(clip.camera_json["size"]) - 0.5), axis=-1)
+    places[~np.asarray(inside)] = np.nan
+    return places
 
 
 def time_frames(locate: Callable[[Any], Any], frames: Any) -> tuple[float, list[Any]]:

@@ -14,6 +14,7 @@ from tracker.measurement.local.local_fit import (
     MAX_RESIDUAL_SCATTER,
     SlideDuration,
     _narrow_cells,
+    bound_chi2_of_dry_slide,
     choose_window,
     fit_motions,
     fit_single_stretch,
@@ -22,7 +23,15 @@ from tracker.measurement.local.local_fit import (
     weigh_by_residuals,
 )
 from tracker.measurement.local.local_problem import KnownEnd, KnownSlips, LocalPriors, LocalProblem
-from tracker.measurement.local.stretches import REST, ROLL, SLIDE, SLIDE_AND_ROLL, SLIDE_AND_STOP, Stretch
+from tracker.measurement.local.stretches import (
+    REST,
+    ROLL,
+    SLIDE,
+    SLIDE_AND_ROLL,
+    SLIDE_AND_STOP,
+    Stretch,
+    evaluate_path,
+)
 
 NOISE = 1e-6
 
@@ -84,6 +93,34 @@ def slide_path(time, speed, friction, slide_s):
     """Position along x of a body that slides for `slide_s` from time 0 on, and then moves on."""
     early, late = np.minimum(time, slide_s), np.maximum(time - slide_s, 0)
     return np.outer(speed * early - friction * early**2 / 2 + (speed - friction * slide_s) * late, [1.0, 0.0])
+
+
+@pytest.mark.parametrize("lasting", [0.0, 1e-5, 1e-4])
+def test_no_dry_slide_has_a_smaller_chi2_than_its_bound(lasting):
+    """Of slides that stop anywhere or not at all, for positions of such slides and of balls that roll on."""
+    rng, time, least = np.random.default_rng(5), np.arange(1, 36) * 4e-3, []
+    for _ in range(60):
+        speed, slide_s, stop_s = rng.uniform(0.05, 0.5), rng.uniform(0, 0.2), rng.uniform(0, 0.2)
+        stops = slide_path(time, speed, speed / stop_s, stop_s)
+        for path in (stops, slide_path(time, speed, rng.uniform(0.1, 3), slide_s)):
+            stretch = make_stretch(path, time, rng.integers(1e6), lasting)
+            stretch.near[: rng.integers(0, 3)] = True
+            stretch.position[stretch.near] += rng.normal(0, 1e-4, 2)
+            bound, counted = bound_chi2_of_dry_slide(stretch), np.repeat(~stretch.near, 2)
+            for duration in (stop_s, *rng.uniform(0, 0.2, 20)):
+                values = np.array([0.0, 0.0, speed, 0.0, -speed / duration, 0.0])
+                off = stretch.position - evaluate_path(SLIDE_AND_STOP, values, time, after=True)[0]
+                least.append((stretch.whiten(off)[counted] ** 2).sum() - bound)
+    assert min(least) > -1e-6
+
+
+def test_a_ball_that_rolls_on_after_its_slide_slides_not_to_rest():
+    time, noise = np.arange(1, 36) * 4e-3, 3 * np.sqrt(2 * 70)
+    for seed in range(20):
+        rolls = make_stretch(slide_path(time, 0.4, 2.0, 0.05), time, seed)
+        stops = make_stretch(slide_path(time, 0.15, 2.0, 0.075), time, seed)
+        assert bound_chi2_of_dry_slide(rolls) > 1e2 * 70
+        assert bound_chi2_of_dry_slide(stops) < 70 + noise
 
 
 def test_residuals_are_weighed_from_the_contact_on(monkeypatch):
