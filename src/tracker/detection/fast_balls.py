@@ -21,7 +21,7 @@ def may_be_fast(glints: Glints, tracks: Tracks, settings: LinkSettings) -> bool:
     lengths = np.unique(tracks.particle, return_counts=True)[1]
     unlinked = len(glints) - int(lengths[lengths >= 4].sum())
     given = settings.max_speed_m_s is not None or settings.max_step_px is not None
-    return not given and (unlinked >= MIN_GAIN or len(glints) < 2 * MIN_GAIN)
+    return not given and unlinked >= MIN_GAIN
 
 
 def allow_fast_balls(camera: Camera, settings: LinkSettings) -> LinkSettings:
