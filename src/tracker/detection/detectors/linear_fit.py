@@ -14,6 +14,7 @@ from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
 from tracker.detection.likelihood.cramer_rao import compute_glint_shape
+from tracker.detection.likelihood.neighbours import find_repeated
 from tracker.detection.spot_centroids import SpotCentroids
 
 
@@ -33,13 +34,15 @@ class LinearFit:
         if len(found) == 0:
             return found
         found, is_cut = self._place(frame, found, half)
-        while is_cut.any() and half + 2 <= self.largest_half:
+        largest_half, is_long = min(self.largest_half, (min(frame.shape) - 1) // 2), is_cut.any()
+        while is_cut.any() and half + 2 <= largest_half:
             half += 2
             cut = np.flatnonzero(is_cut)
             rows, columns = self._find_pixels(frame, found.take(cut), half)
             wide, is_cut[cut] = self._place(frame, self.find_centroids.measure(frame, rows, columns, half), half)
             found.put(cut, wide)
-        return found
+        # A long smear has several candidates, which are then placed at its middle.
+        return found.take(~find_repeated(found, self.find_centroids.search.apart / 2)) if is_long else found
 
     def _find_pixels(self, frame: NDArray[Any], found: Glints, half: int) -> tuple[Ints, Ints]:
         """Rows and columns of the pixels (n,) nearest to glints, windows about which lie in the frame."""

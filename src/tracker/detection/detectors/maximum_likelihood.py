@@ -33,7 +33,12 @@ from tracker.detection.likelihood.glint_fit import (
     learn_profile,
     score_blur_length,
 )
-from tracker.detection.likelihood.neighbours import Neighbours, find_isolated, find_neighbouring_glints
+from tracker.detection.likelihood.neighbours import (
+    Neighbours,
+    find_isolated,
+    find_neighbouring_glints,
+    find_repeated,
+)
 from tracker.detection.likelihood.patches import (
     CandidatePatches,
     GlintGeometry,
@@ -208,7 +213,10 @@ class MaximumLikelihood:
         long, bright = np.hypot(*smeared.blur.T) > 2.0 * self.sigma, again.glints.flux > min_share * typical
         chosen = again.good & _fits_better(again.glints, fit.glints.take(rows), fit.good[rows])
         chosen &= fit.good[rows] | (long & bright)
-        fit.put(rows[chosen], again, chosen)
+        if chosen.any():
+            fit.put(rows[chosen], again, chosen)
+            seen = np.flatnonzero(fit.good)  # a long smear has several candidates, which are now fits of the same
+            fit.good[seen[find_repeated(fit.glints.take(seen), self.search.apart / 2)]] = False
 
     def _subtract_offsets(self, patches: CandidatePatches) -> CandidatePatches:
         """The patches without the fixed offsets of their pixels, where these are known all over a patch."""

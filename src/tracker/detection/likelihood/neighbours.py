@@ -12,7 +12,9 @@ from scipy.spatial import cKDTree
 from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.camera import Camera
 from tracker.camera.mirror_images import locate_secondary_glints, secondary_flux_ratio
-from tracker.detection.glints import Glints, RowArrays
+from tracker.detection.glints import Glints, PositionFlag, RowArrays
+
+FRAME_STEP_PX = 1e6  # distance of two frames, beyond any in a picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +53,28 @@ def find_isolated(frame: Ints, position: Array, distance: float) -> Flags:
     return _find_nearest(frame, position)[0] >= distance
 
 
+def find_repeated(glints: Glints, distance: float) -> Flags:
+    """Find the glints (n,) that are nearer than a distance, px, to a better one of their frame: both are of one ball.
+
+    The better one describes its pixels, or has the smaller errors.
+    """
+    repeated = np.zeros(len(glints), dtype=np.bool_)
+    if len(glints) < 2:
+        return repeated
+    places = np.column_stack([glints.xy, glints.frame * FRAME_STEP_PX])
+    rank = np.lexsort((np.linalg.det(glints.cov), (glints.flags & PositionFlag.MISFIT) > 0))
+    for better, worse in sorted(cKDTree(places[rank]).query_pairs(distance)):
+        repeated[rank[worse]] |= not repeated[rank[better]]
+    return repeated
+
+
 def _find_nearest(frame: Ints, xy: Array) -> tuple[Array, Ints]:
     """Distance (n,), px, of the nearest other detection in the frame, and its row; infinity and -1 without one."""
-    frame_step_px = 1e6  # distance of two frames, beyond any in a picture
     if len(frame) < 2:
         return np.full(len(frame), np.inf), np.full(len(frame), -1)
-    each, places = np.arange(len(frame)), np.column_stack([xy, frame * frame_step_px])
+    each, places = np.arange(len(frame)), np.column_stack([xy, frame * FRAME_STEP_PX])
     distance, row = (np.asarray(values) for values in cKDTree(places).query(places, k=2))
     other = (row[:, 0] == each).astype(np.int64)  # of two at one place either may come first
     distance, row = distance[each, other], row[each, other]
-    alone = distance > frame_step_px / 2
+    alone = distance > FRAME_STEP_PX / 2
     return np.where(alone, np.inf, distance), np.where(alone, -1, row).astype(np.int64)
