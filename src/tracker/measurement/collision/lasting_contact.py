@@ -8,7 +8,7 @@ Two results follow from the fitted paths alone, without a law of the force. The 
 centres are nearer than D. The ratio of radial speeds compares how fast they leave and enter D. A force that springs
 back gives back what a constant push costs, so that this ratio is the restitution. Plate friction, which acts from the
 first touch on, is such a push. So is the centrifugal acceleration in an oblique hit, the other way. A force that loses
-energy gives back a part of it; see `compute_kept_share`.
+energy gives back a part of it; see `force_laws`.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from tracker.measurement.collision.derived import (
     derive_from_tied,
     dot,
 )
+from tracker.measurement.collision.force_laws import solve_restitutions
 from tracker.measurement.collision.least_squares import (
     BROAD_PRIORS,
     FINE_TOLERANCE,
@@ -58,6 +59,9 @@ MIN_FRAMES = 4  # outside the contact, before and after it
 MAX_WINDOWS = 12  # of frames in contact that are tried one after the other
 MIN_SIGNIFICANCE = 4.0  # standard errors by which the lines cross at less than one diameter
 STRAIGHT_CHI2 = 16.0  # rise of chi^2 up to which straight lines describe the balls after the hit
+# Delay of slides over that by a push like a half sine. A dashpot pushes from the touch on: slides begin at once.
+# A push as of Hertz rises late. The mean and the standard deviation are those of a share from 0 to 1.5.
+USUAL_DELAY, DELAY_STD = 0.75, 0.43
 STRAIGHT = (*FREE[:8], "v1x", "v1y", "v2x", "v2y", *FREE[-2:])  # free motions without a slide
 _TAU = [FREE.index("log_tau1"), FREE.index("log_tau2")]
 
@@ -67,13 +71,13 @@ class LastingResiduals(PairResiduals):
 
     The last two parameters are lengths: by how much the paths miss each other across the line of centres, and d.
     kind: "tied", "free", or "straight", a free motion that no friction slows down. friction: of a tied motion, if it is
-    known within a quarter.
+    known within a quarter. delay: of the slides of a tied motion, over that by a push like a half sine.
     """
 
-    def __init__(self, pair: BallPair, kind: str, friction: float | None = None) -> None:
+    def __init__(self, pair: BallPair, kind: str, friction: float | None = None, delay: float = USUAL_DELAY) -> None:
         held = pair.zero_parameters | ({"drag", "decel"} if kind == "straight" else set())
         super().__init__(pair, {"tied": TIED, "free": FREE, "straight": STRAIGHT}[kind], held)
-        self.kind = kind
+        self.kind, self.delay = kind, delay
         given = {} if friction is None else {"log_mu": (float(np.log(friction)), 0.25)}
         priors = [given.get(name, BROAD_PRIORS.get(name, (0.0, np.inf))) for name in self.names]
         self.prior = np.array([*(centre for centre, _ in priors), 0.0, pair.diameter])
@@ -87,7 +91,9 @@ class LastingResiduals(PairResiduals):
             return whole
         if self.kind == "tied":
             before = time_before_crossing(whole[..., 4], whole[..., 5], x[..., -1], self.pair.diameter)
-            delay = delay_of_slides(whole[..., 5] * np.cos(whole[..., 4]), whole[..., 8], whole[..., 9], before)
+            closing = whole[..., 5] * np.cos(whole[..., 4])
+            delay = self.delay * delay_of_slides(closing, whole[..., 8], whole[..., 9], before)
+            delay = np.where(delay.real < 0.5 * before.real, delay, 0.5 * before)
             return advance_slides(tied_to_free(whole, self.pair.spin), before - delay)
         free = np.zeros((*x.shape[:-1], len(FREE)), dtype=x.dtype)
         free[..., :8], free[..., -2:] = whole[..., :8], whole[..., -2:]
@@ -131,25 +137,11 @@ def delay_of_slides(
     """Seconds by which a lasting contact delays slides: balls roll until the push exceeds 7/2 mu g.
 
     closing, m/s; before: s from the touch to t_c. Until then friction is 2/7 of the push, so that half of this time
-    counts. That is 7/2 mu g T^2/(pi^2 J) for a half sine. A push that rises straight from the start reaches the limit
-    earlier, one of Hertz later. Three quarters of it are taken.
+    counts. That is 7/2 mu g T^2/(pi^2 J) for a push like a half sine, which is the result.
     """
     lasts = before * (1 + r) / np.where(r.real > 0.1, r, 0.1)
     impulse = (1 + r) / 2 * closing
-    delay = 0.75 * SLIP_RATE * np.exp(log_mu) * GRAVITY * lasts**2 / (np.pi**2 * impulse)
-    return np.asarray(np.where(delay.real < 0.5 * before.real, delay, 0.5 * before))
-
-
-def compute_kept_share(r: Array) -> tuple[Array, Array]:
-    """Share of the speed lost to a small push after t_c that a lasting contact does not give back, and its error.
-
-    A spring without loss gives all of it back. To first order in the push, a linear spring with a dashpot keeps
-    2 (1 + r)^2 L/(pi^2 + L^2), with L = -log r. Bodies that keep a dent keep most: (1 - r)(1.07 + .2 r), by
-    integration. Hertz contacts with dashpots lie between. The error is that of laws spread evenly between the two.
-    """
-    loss = -np.log(r)
-    spring, dent = 2 * (1 + r) ** 2 * loss / (np.pi**2 + loss**2), (1 - r) * (1.07 + 0.2 * r)
-    return np.asarray((spring + dent) / 2), np.asarray(np.abs(dent - spring) / np.sqrt(12))
+    return np.asarray(SLIP_RATE * np.exp(log_mu) * GRAVITY * lasts**2 / (np.pi**2 * impulse))
 
 
 def advance_slides(free: NDArray[np.inexact], delay: NDArray[np.inexact]) -> NDArray[np.inexact]:
@@ -157,9 +149,10 @@ def advance_slides(free: NDArray[np.inexact], delay: NDArray[np.inexact]) -> NDA
     out = free.copy()
     for at in AFTER.values():
         v, f, past = free[..., at : at + 2], free[..., at + 2 : at + 4], delay / np.exp(free[..., at + 4])
-        gone = 1 - np.exp(-past)  # share of the slide; never all of it
-        out[..., at : at + 2] = v + gone[..., None] * (f - v)
-        out[..., at + 4] = free[..., at + 4] - past
+        most = 0.7  # share of a slide from which on the rest gets ever smaller, so that some of it is left
+        left = np.where(past.real < most, 1 - past, (1 - most) * np.exp((most - past) / (1 - most)))
+        out[..., at : at + 2] = f + left[..., None] * (v - f)
+        out[..., at + 4] = free[..., at + 4] + np.log(left)
     return out
 
 
@@ -273,17 +266,19 @@ class LastingFit:
         return free if self.problem.kind == "straight" else rewind_slides(free, self.times(x)[..., 0])
 
     def restitution(self, x: Array) -> Array:
-        """(..., 3): the restitution, the part of friction in it, and the error of what the law of the force changes."""
+        """(..., 2): the restitution, as the mean by five laws of the force, and their standard deviation."""
         free = self.to_free(x)
-        _, after, closing, parting = self._passage(x)
+        before, after, closing, parting = self._passage(x)
         n = np.asarray(compute_unit_vectors(free[..., 3], free[..., 4])[1], dtype=np.float64)
         at_crossing = dot(free[..., 8:10] - free[..., 13:15], n)
         late = free if self.problem.kind == "straight" else rewind_slides(free, -after)
         lost = (at_crossing - dot(late[..., 8:10] - late[..., 13:15], n)) / closing
-        turn = np.tan(free[..., 4]) ** 2 * closing / self.diameter * after
-        share, error = compute_kept_share(np.clip(parting / closing, 0.05, 1.0))
-        r = parting / closing + share * (lost - turn)
-        return np.stack([r, lost / np.clip(r, 0.1, 1.0), error * np.abs(lost - turn)], -1)
+        offset = np.clip(x[..., -1] * np.sin(free[..., 4]) / self.diameter, -0.95, 0.95)
+        lasts = np.maximum(before + after, 0.0)
+        pressed = lost * lasts / np.maximum(after, 1e-3 * lasts + 1e-9)
+        every = (parting / closing, pressed, offset / np.sqrt(1 - offset**2), closing * lasts / self.diameter)
+        r = solve_restitutions(*(np.ravel(each) for each in every)).reshape(*np.shape(lasts), 5)
+        return np.stack([r.mean(axis=-1), r.std(axis=-1)], -1)
 
     def values(self) -> DerivedValues:
         """The quantities that it determines."""
@@ -304,33 +299,35 @@ class LastingFit:
         value[b], cov[b], cov[:, b] = value[b] * distance, cov[b] * distance, cov[:, b] * distance
         cov[b, b] += (value[b] * float(np.sqrt(self.cov[-1, -1])) / self.diameter) ** 2
         by = self.slopes(self.restitution)[0]
-        value[r], _, error = self.restitution(self.x)
+        value[r], error = self.restitution(self.x)
         cov[r, r] = float(by @ self.cov @ by) + error**2
         if self.problem.kind == "tied":
-            shift, effect = self._effect_of_slides()
-            value += shift
+            effect = self.effect_of_delay()[:-1]
             cov += np.outer(effect, effect)
         return replace(found, value=value, cov=cov)
 
-    def _effect_of_slides(self) -> tuple[Array, Array]:
-        """Shift of the quantities (20,) of a tied fit by slides that begin in the contact, and its error.
+    def effect_of_delay(self) -> Array:
+        """Error of the quantities of a tied fit and of the duration (21,) by the delay of slides.
 
-        The fit gives too much friction, by a share of (T/tau)^2, T the duration and tau the slide time of a head-on
-        hit. That share and its spread are read from seven simulated clips of five laws of the force.
+        The law of the force decides how long it is.
         """
-        share, spread = 0.2, 0.12
-        whole, at = self.problem.whole(self.x[:-2]), QUANTITY_NAMES.index
-        before, after = self.times(self.x)
-        closing, mu = whole[5] * np.cos(whole[4]), np.exp(whole[9])
-        late = 1.5 * delay_of_slides(closing, whole[8], whole[9], before)  # the most that any of the laws delays them
-        slide = (1 + whole[8]) / 2 * whole[5] / (SLIP_RATE * mu * GRAVITY)
-        square = min((before + after) / slide, 1.0) ** 2
-        shift, effect = np.zeros(len(QUANTITY_NAMES)), np.zeros(len(QUANTITY_NAMES))
-        shift[at("mu_k")], effect[at("mu_k")] = -share * square * mu, -spread * square * mu
-        effect[at("r")] = 2 * mu * GRAVITY * late / closing
-        for ball, name in enumerate(("tau1", "tau2")):
-            effect[at(name)] = share * square * np.exp(self.free[_TAU[ball]])
-        return shift, effect
+
+        def moved(by: float) -> LastingResiduals:
+            return LastingResiduals(self.problem.pair, "tied", delay=USUAL_DELAY + by)
+
+        step = DELAY_STD
+        _, rows = self.problem(self.x)
+        change = (moved(step).residual(self.x) - moved(-step).residual(self.x)) / 2
+        shift = -self.cov @ (rows.T @ change)
+        high, low = (replace(self, problem=moved(by * step), x=self.x + by * shift) for by in (1, -1))
+        effect = np.append(high._derive() - low._derive(), high.times(high.x).sum() - low.times(low.x).sum()) / 2
+        effect[QUANTITY_NAMES.index("r")] = (high.restitution(high.x)[0] - low.restitution(low.x)[0]) / 2
+        return np.nan_to_num(effect)
+
+    def _derive(self) -> Array:
+        """The quantities (20,) of a tied fit as those of an impact."""
+        tied, cov = self.problem.whole(self.x[:-2]), self.problem.whole_cov(self.cov[:-2, :-2])
+        return derive_from_tied(tied, cov, self.diameter, self.problem.pair.spin).value
 
     def predict_left_out(self, rows: BallTrack, ball: int) -> tuple[Array, Array]:
         """Positions (n, 2) that were left out, less those of an instantaneous contact, and derivatives (n, 2, p)."""
@@ -442,8 +439,9 @@ def _measure_duration(best: LastingFit, pair: BallPair, window: tuple[int, int])
     before, after = best.times(best.x)
     both = best.slopes(best.times).sum(axis=0)
     own = float(both @ best.cov @ both) * max(1.0, best.chi2 / best.dof)
-    _, friction, _ = best.restitution(best.x)
-    duration_std = float(np.hypot(np.sqrt(own), 0.15 * friction * (before + after)))
+    if best.problem.kind == "tied":
+        own += best.effect_of_delay()[-1] ** 2
+    duration_std = float(np.sqrt(own))
     is_certain = _bend(best, pair, window) > 3.5  # standard errors
     return LastingContact(*window, float(before + after), duration_std, is_certain)
 
