@@ -179,6 +179,33 @@ def test_only_motions_that_no_error_makes_likely_are_not_solved_again(known):
     assert end.value.value[0].log_evidence == best
 
 
+@pytest.mark.parametrize("size", [1.0, 3.0])
+def test_dry_slides_that_a_bound_excludes_change_nothing(monkeypatch, size):
+    """Of balls that slide and then roll, with errors as claimed or larger in two stretches."""
+    before, time, diameter = np.arange(-20, 0) * 4e-3, np.arange(1, 41) * 4e-3, 0.05
+    stretches = (
+        make_stretch(np.zeros((20, 2)), before, 1, after=False),
+        make_stretch(np.outer(before, [1.0, 0.0]) - [diameter, 0], before, 2, ball=2, after=False, size=size),
+        make_stretch(slide_path(time, 0.9, 1.9, 0.1), time, 3, size=size),
+        make_stretch(slide_path(time, 0.1, -1.9, 0.05) - [diameter, 0], time, 4, ball=2),
+    )
+
+    def fit():
+        found = yield from fit_motions(stretches, 0.0, True, ("cloth", "sliding", "air"), LocalPriors(diameter))
+        weighed = yield from weigh_by_residuals(found, True)
+        return found, (yield from mix_solutions(weighed))
+
+    found, quick = run_alone(fit())
+    assert found[0].is_good == (size == 1.0)
+    monkeypatch.setattr(local_fit, "_are_no_dry_slides", lambda *_: False)
+    every, slow = run_alone(fit())
+    assert [one.problem.dry for one in every].count(()) == [one.problem.dry for one in found].count(())
+    assert len(every) - len(found) == (size > 1)
+    for (weight, one), (same, other) in zip(quick, slow, strict=True):
+        assert weight == same
+        assert np.array_equal(one.x, other.x)
+
+
 @pytest.mark.parametrize(("slide_s", "seen"), [(0.5, False), (0.199, False), (0.1, True)])
 def test_an_end_of_a_slide_that_is_not_seen_leaves_the_velocity_known(slide_s, seen):
     """The struck body slides for longer than it is seen, nearly as long, or for half of that."""
