@@ -64,6 +64,7 @@ class SensorChip:
             self.leak = np.zeros((h, w))
             self.leak.flat[self.hot] = sensor.hot_dark * rng.exponential(size=len(self.hot))
         self._backgrounds: list[_Background] = []
+        self._streams: dict[tuple[int, int], np.random.Generator] = {}
 
     def expose(self, picture: Picture | Float32, clip: int, frame: int) -> Counts:
         """Expose a picture: counts (h, w), uint8 up to 8 bits, else uint16.
@@ -71,7 +72,7 @@ class SensorChip:
         The noise depends on (root_seed, clip, frame) only. A bare array of picture values is exposed pixel by pixel,
         which is slower.
         """
-        rng = _generator(self.root_seed, (clip, 1, frame))
+        rng = self._take_stream(clip, frame)
         counts: Counts
         if not isinstance(picture, Picture):
             return self._exact(np.asarray(picture), slice(None), slice(None), rng)
@@ -88,6 +89,17 @@ class SensorChip:
             at = np.unravel_index(self.hot, counts.shape)
             counts[at] = self._exact(picture.image[at], at[0], at[1], rng)
         return counts
+
+    def _take_stream(self, clip: int, frame: int) -> np.random.Generator:
+        """Take the random numbers of a frame. Those of the next frames are made with them.
+
+        Between two frames, whose pixels fill the processor's caches, each would take three times as long.
+        """
+        at_once = 32
+        if (clip, frame) not in self._streams:
+            following = range(frame, frame + at_once)
+            self._streams = {(clip, k): _generator(self.root_seed, (clip, 1, k)) for k in following}
+        return self._streams.pop((clip, frame))
 
     def electrons(self, picture: NDArray[Any], rows: Part, columns: Part) -> Array:
         """Compute the mean number of electrons in the pixels of a part of the picture."""

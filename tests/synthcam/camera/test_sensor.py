@@ -153,6 +153,14 @@ def test_an_uneven_plate_is_drawn_with_each_pixels_own_noise():
         assert here.var() == pytest.approx(mean + 4 + 1 / 12, rel=5 * np.sqrt(2 / here.size))
 
 
+def test_noise_does_not_depend_on_the_order_of_frames():
+    chip = SensorChip(Sensor(), SIZE, 5e-4, root_seed=9)
+    asked = (3, 4, 90, 3, 40, 41, 2)
+    for frame, counts in zip(asked, [chip.expose(flat(0.001), 1, k) for k in asked], strict=True):
+        alone = SensorChip(Sensor(), SIZE, 5e-4, root_seed=9).expose(flat(0.001), 1, frame)
+        np.testing.assert_array_equal(counts, alone)
+
+
 def test_noise_depends_on_seed_clip_and_frame_alone():
     chip = SensorChip(Sensor(), SIZE, 5e-4, root_seed=9)
     box = ((slice(20, 60), slice(30, 90)),)
