@@ -24,6 +24,7 @@ from tracker.gas.hidden_slides import USUAL_FRICTION
 
 HIDDEN_SHARE = 0.1  # of the energy of contacts next to one another, by one of the other kind that was not found
 COMMON_ERROR_OF_EXPECTED = 0.3  # relative, of losses that the kicks let expect
+HIDING_FRAMES = 1.5  # between two contacts of a ball, of which one is not found; in films of known truth
 
 
 class ContactGroups(NamedTuple):
@@ -37,6 +38,7 @@ class ContactGroups(NamedTuple):
     expected_std: Array
     share: Array  # (2, groups) of balls and of walls in its loss
     share_variance: Array  # (groups,)
+    hiding: Array  # (groups,) contacts that were not found because one of the group was near, for each of these
     bodies: Ints  # (groups,) sum of the numbers of balls of its contacts
 
     def select(self, contacts: Ints) -> Ints:
@@ -71,7 +73,10 @@ def group_contacts(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: flo
         across = find_approaches(contacts, paths, noise)[1]
         each, error = expect_losses(contacts, np.where(single, taken, np.nan), variances, across, is_wall)
         far = np.abs(taken - each) > most_sigma * np.hypot(error, np.sqrt(variances))
-        taken = np.where(far & ~find_measured(contacts), np.nan, taken)
+        given = find_measured(contacts)
+        taken = np.where(far & ~given, np.nan, taken)
+        usual = _combine(taken, variances, each, error)
+        taken, variances = np.where(given, (taken, variances), usual)
         for row, kind in enumerate((~is_wall, is_wall)):
             known = kind & np.isfinite(each)
             share = np.where(lone, 0.75, 1.0)[known]  # of a pair, whose other ball may have a kink of its own
@@ -101,8 +106,33 @@ def group_contacts(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: flo
         std,
         share,
         share_variance,
+        np.bincount(label, _count_hidden(contacts, frame_s), groups)
+        / np.maximum(np.bincount(label, minlength=groups), 1),
         np.bincount(label, bodies, groups).astype(np.int64),
     )
+
+
+def _count_hidden(contacts: pd.DataFrame, frame_s: float) -> Array:
+    """Count the contacts (n,) that are expected within `HIDING_FRAMES` of each, by those of its balls a little farther.
+
+    Within 2 frames many are not found; up to 12 frames the density of contacts is about the same.
+    """
+    nearest, farthest = 2.0, 12.0  # frames
+    balls, frame = contacts[["particle1", "particle2"]].to_numpy(), contacts["t_s"].to_numpy() / max(frame_s, 1e-12)
+    near = np.zeros(len(contacts))
+    for ball in np.unique(balls[balls >= 0]):
+        own = np.flatnonzero((balls == ball).any(axis=1))
+        apart = np.abs(np.subtract.outer(frame[own], frame[own]))
+        near[own] += ((apart > nearest) & (apart < farthest)).sum(axis=1)
+    return near / (farthest - nearest) * HIDING_FRAMES / 2
+
+
+def _combine(value: Array, variance: Array, expected: Array, scatter: Array) -> tuple[Array, Array]:
+    """Weigh losses and what is usual by their variances; a loss keeps its value where nothing usual is known."""
+    least = 0.1  # scatter of contacts about what is usual, over that
+    prior = np.maximum(scatter, least * expected) ** 2
+    weight = np.where(prior > 0, variance / (variance + np.where(prior > 0, prior, 1.0)), 0.0)
+    return value + weight * (np.nan_to_num(expected) - value), variance * (1 - weight)
 
 
 def _balance_groups(

@@ -77,23 +77,28 @@ def expect_losses(
 ) -> tuple[Array, Array]:
     """The losses (n,) that kicks and tangential velocities let expect, as in the contacts of the film that show theirs.
 
-    The square of the kick and that of the tangential velocity each cost a share of themselves, which is the same for
-    all contacts of balls, or with walls. The errors (n,) are the scatter of contacts about that.
+    The squares of the kick and of the tangential velocity, and their product, each cost a share of themselves. It is
+    the same for all contacts of balls, or with walls. Surfaces that slide on one another lose the product. The errors
+    (n,) are the scatter of contacts about that. Shares follow from relative losses: no large loss alone decides.
     """
     least = 10  # contacts that show their losses
     kick = contacts["kick"].to_numpy(dtype=np.float64)
-    terms = np.stack([kick**2, np.where(np.isfinite(across), across, kick) ** 2], axis=1)
+    slip = np.abs(np.where(np.isfinite(across), across, kick))
+    terms = np.stack([kick**2, slip**2, kick * slip], axis=1)
+    total = terms.sum(axis=1)
     expected, std = np.full((2, len(contacts)), np.nan)
     for kind in (is_wall, ~is_wall):
         known = kind & np.isfinite(taken)
         if known.sum() < least:
             continue
+        scatter = 0.1  # over the sum of the terms
         for _ in range(3):  # each without those that another contact disturbs
-            share = nnls(terms[known], taken[known])[0]
+            weight = 1 / np.sqrt((scatter * total[known]) ** 2 + variance[known])
+            share = nnls(terms[known] * weight[:, None], taken[known] * weight)[0]
             away = taken - terms @ share
-            scatter = float(np.median(np.abs(away[known] / terms[known].sum(axis=1)))) / 0.67449
-            known = kind & (np.abs(away) < 4 * np.hypot(scatter * terms.sum(axis=1), np.sqrt(variance)))
-        expected[kind], std[kind] = terms[kind] @ share, scatter * terms[kind].sum(axis=1)
+            scatter = float(np.median(np.abs(away[known] / total[known]))) / 0.67449
+            known = kind & (np.abs(away) < 4 * np.hypot(scatter * total, np.sqrt(variance)))
+        expected[kind], std[kind] = terms[kind] @ share, scatter * total[kind]
     return expected, std
 
 

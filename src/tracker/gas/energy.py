@@ -22,6 +22,7 @@ from tracker.gas.free_paths import FreePath
 
 SINKS = {"contacts": "lost_in_contacts", "walls": "lost_at_walls", "plate": "lost_to_plate"}  # columns
 SINKS |= {"unresolved": "lost_unresolved"}
+ERROR_OF_HIDDEN = 0.4  # relative, of what contacts took that were not found next to others
 MAX_ERROR_OF_SPREAD = 0.1  # variance of an energy over that among balls, beyond which a ball was hit beside the frame
 
 
@@ -117,9 +118,19 @@ def _add_steps(
     """Add the losses of steps and of groups of contacts to the sinks.
 
     Steps without a known loss are unresolved. Of these the contacts take what their kicks let expect, if that is known.
-    hidden: of the sinks, errors that add up because all may have the same sign.
+    hidden: of the sinks, errors that add up because all may have the same sign. One is what contacts took that were not
+    found next to others.
     """
     count = len(groups.loss)
+
+    def add_hidden(name: str, k: int, loss: float, source: str) -> None:
+        """Add what contacts took that were not found next to those of a group: a Poisson number of such losses."""
+        hides, variance = groups.hiding[k] * loss, groups.hiding[k] * loss**2
+        lost[name].add(ends[k], hides, variance)
+        lost[source].add(ends[k], -hides, variance)
+        for sink in (name, "plate"):
+            hidden[sink].add(ends[k], ERROR_OF_HIDDEN * hides)
+
     inner = [path.start for path in paths if lies_within_group(path)]
     needed = groups.bodies - np.bincount(groups.label[inner], minlength=count)
     resolved, ends, kinds = _find_resolved(steps, groups, needed), np.full(count, -1), ("contacts", "walls")
@@ -142,12 +153,14 @@ def _add_steps(
             for row, name in enumerate(kinds):
                 share = groups.share[row, k]
                 lost[name].add(ends[k], share * loss, share**2 * variance + unsure, share * common)
+                add_hidden(name, int(k), share * loss, "plate")
             continue
         for row, name in enumerate(kinds):
             expected = groups.expected[row, k]
             lost[name].add(ends[k], expected, groups.expected_std[row, k] ** 2)
             hidden[name].add(ends[k], COMMON_ERROR_OF_EXPECTED * expected)
             lost["unresolved"].add(ends[k], -expected)
+            add_hidden(name, int(k), expected, "unresolved")
 
 
 def _tabulate(seen: _Sums, smoothed: _Sums, lost: Mapping[str, _Sums], hidden: Mapping[str, _Sums]) -> pd.DataFrame:

@@ -8,7 +8,8 @@ import pytest
 
 import synthcam
 from synthcam_shared.errors import InputError
-from tracker.gas.contact_losses import measure_contact_losses, predict_losses
+from tracker.gas.contact_groups import HIDING_FRAMES, group_contacts
+from tracker.gas.contact_losses import expect_losses, measure_contact_losses, predict_losses
 from tracker.gas.energy import SINKS, measure_losses
 from tracker.gas.free_paths import FreePath
 from tracker.gas.gas import GasCamera, contact_pair_correlation, contact_rate, mean_free_path, measure_gas
@@ -412,3 +413,29 @@ def test_balls_without_a_velocity_count_and_have_their_way():
     assert bounced.values["area_fraction"] == pytest.approx(plain.values["area_fraction"])
     assert bounced.time["temperature"].iloc[15] == pytest.approx(plain.time["temperature"].iloc[15], rel=1e-3)
     assert bounced.time["temperature_std"].iloc[15] > 10 * plain.time["temperature_std"].iloc[15]
+
+
+def test_a_large_loss_that_was_mistaken_does_not_change_what_others_usually_take():
+    """Walls with r = 0.8 and friction 0.2 take what impulses say; the fastest one seems to take thrice that."""
+    rng, r, friction = np.random.default_rng(2), 0.8, 0.2
+    along, across = rng.uniform(0.02, 0.3, 60), rng.uniform(0.1, 0.4, 60)
+    across = np.maximum(across, 2 * friction * (1 + r) * along)  # surfaces slide up to the end
+    along[0], across[0] = 1.0, 1.0
+    pushed = (1 + r) * along
+    true = ((1 - r**2) * along**2 + across**2 - (across - friction * pushed) ** 2) / 2
+    taken = np.where(np.arange(60) == 0, 3 * true, true)
+    table = make_kicks([(k, -1, 0, 0) for k in range(60)], np.hypot(pushed, friction * pushed))
+    expected, std = expect_losses(table, taken, np.full(60, 1e-12), across, np.ones(60, dtype=bool))
+    np.testing.assert_allclose(expected, true, rtol=1e-3)
+    assert (std[1:] < 0.01 * true[1:]).all()
+
+
+def test_contacts_that_hide_next_to_others_are_as_many_as_a_steady_rate_makes():
+    """One ball meets 4,000 walls at random times, one in 33 frames. Of two within 1.5 frames one is not found."""
+    rng, rate = np.random.default_rng(3), 0.03
+    frame = np.cumsum(rng.exponential(1 / rate, 4000))
+    frame = frame[np.append(True, np.diff(frame) > HIDING_FRAMES)]
+    table = make_kicks([(0, -1, 0, 0) for _ in frame], np.full(len(frame), 0.1)).assign(t_s=frame / FPS)
+    hidden = 4000 - len(frame)
+    groups = group_contacts(table, [], 1e-9, 1 / FPS)
+    assert groups.hiding.sum() == pytest.approx(hidden, rel=0.15)
