@@ -289,11 +289,11 @@ def describe_stretch_scatter(scatter: StretchScatter) -> list[str]:
     """Describe in sentences what differs from stretch to stretch, and what to do about it; empty if nothing does."""
     parts = []
     if scatter.friction:
-        parts.append(f"the sliding friction scatters by {100 * scatter.friction:.2g} %")
+        parts.append(_describe_scatter_size("the sliding friction", scatter, "friction"))
     if scatter.speed_m_s:
         parts += _describe_scatter_on_air(scatter)
     elif scatter.loss_m_s2:
-        parts.append(f"the rolling loss scatters by {scatter.loss_m_s2:.2g} m/s^2")
+        parts.append(_describe_scatter_size("the rolling loss", scatter, "loss_m_s2"))
     if scatter.displacement_m:
         size, reach = (format_number(1e3 * x, 2) for x in (scatter.displacement_m, scatter.reach_m))
         parts.append(f"smooth displacements of the positions differ by {size} mm rms (they change over {reach} mm)")
@@ -309,10 +309,18 @@ def describe_stretch_scatter(scatter: StretchScatter) -> list[str]:
     return lines
 
 
+def _describe_scatter_size(text: str, scatter: StretchScatter, name: str) -> str:
+    """Describe one size of the scatter, or that the data do not limit it."""
+    if name in scatter.unlimited:
+        return f"{text} scatters by an amount that the positions do not limit"
+    value = getattr(scatter, name)
+    return f"{text} scatters by " + (f"{100 * value:.2g} %" if name == "friction" else f"{value:.2g} m/s^2")
+
+
 def _describe_scatter_on_air(scatter: StretchScatter) -> list[str]:
     """Describe how the accelerations of bodies that glide differ."""
-    sizes = (("the loss", scatter.loss_m_s2), ("the acceleration across the motion", scatter.across_m_s2))
-    parts = [f"{name} scatters by {size:.2g} m/s^2" for name, size in sizes if size]
+    sizes = {"loss_m_s2": "the loss", "across_m_s2": "the acceleration across the motion"}
+    parts = [_describe_scatter_size(text, scatter, size) for size, text in sizes.items() if getattr(scatter, size)]
     if parts:
         law = {0: "", 1: ", in proportion to the speed"}.get(scatter.speed_power, ", as a power of the speed")
         lasts = format_number(1e3 * scatter.lasts_s, 2)

@@ -96,6 +96,9 @@ def test_scatter_is_given_in_the_units_of_the_bench():
     for part in ("5.4 %", "0.041 m/s^2", "0.57 mm rms", "150 mm", "likelihood ratio is 34", "tracker warp"):
         assert part in text
     assert "warp" not in " ".join(describe_stretch_scatter(StretchScatter(displacement_m=5.7e-4, reach_m=0.15)))
+    unlimited = describe_stretch_scatter(StretchScatter(friction=0.05, loss_m_s2=68.0, unlimited=("loss_m_s2",)))[0]
+    assert "68" not in unlimited
+    assert "the sliding friction scatters by 5 % and the rolling loss scatters by an amount that the pos" in unlimited
     assert describe_stretch_scatter(StretchScatter()) == []
     air = StretchScatter(loss_m_s2=0.54, across_m_s2=0.16, lasts_s=0.14, speed_power=1, speed_m_s=0.53)
     text = " ".join(describe_stretch_scatter(air))

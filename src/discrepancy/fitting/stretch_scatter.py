@@ -35,6 +35,7 @@ ON_PLATE = ("friction", "loss_m_s2")
 ON_AIR = ("loss_m_s2", "across_m_s2", "lasts_s")
 DISPLACED = ("displacement_m", "reach_m")
 SPEED_POWERS = (0, 1, 2)
+MAX_LOG_GROWTH = 7.0  # of a size, over the one from which its fit starts
 RESIDUAL_TO_PUSH = 27.0  # a constant acceleration a leaves an rms of a T^2 / 27 about a straight line, in a time T
 
 
@@ -52,6 +53,7 @@ class StretchScatter:
     lasts_s: float = 0.0  # the time in which the correlation of either acceleration with itself falls by a factor e
     speed_power: int = 0  # the power of the speed to which both accelerations are proportional
     speed_m_s: float = 0.0  # the median speed
+    unlimited: tuple[str, ...] = ()  # sizes with the largest value that the fit allows, because no data limit them
 
     @property
     def is_none(self) -> bool:
@@ -112,11 +114,14 @@ def fit_scatter(
         start |= {"friction": 0.05, "loss_m_s2": loss}
 
     def build(names: Sequence[str], x: Array, speed_power: int) -> StretchScatter:
-        values = {name: start[name] * float(np.exp(np.clip(v, -7, 7))) for name, v in zip(names, x, strict=True)}
+        logs = dict(zip(names, np.clip(x, -MAX_LOG_GROWTH, MAX_LOG_GROWTH).tolist(), strict=True))
+        values = {name: start[name] * float(np.exp(log)) for name, log in logs.items()}
+        unlimited = tuple(n for n in ("friction", "loss_m_s2", "across_m_s2") if logs.get(n, 0.0) == MAX_LOG_GROWTH)
         if "displacement_m" in names:
             values["displacement_m"] = min(values["displacement_m"], max_to_noise * noise_m)
             values["reach_m"] = min(max(values["reach_m"], 0.02 * way), 0.5 * way)
-        return StretchScatter(**values, speed_power=speed_power, speed_m_s=speed if on_air else 0.0)
+        speed_m_s = speed if on_air else 0.0
+        return StretchScatter(**values, speed_power=speed_power, speed_m_s=speed_m_s, unlimited=unlimited)
 
     def cost(scatter: StretchScatter) -> float:
         return replace(left, clips=_add_scatter(bare, moves, scatter)).cost(noise)

@@ -9,6 +9,7 @@ from discrepancy_clips import CAMERA, FPS, STD, exact, noisy
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import MEETS_NOTHING
 from discrepancy.data.stretches import cut_stretches
+from discrepancy.fitting import stretch_scatter
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import list_candidates
@@ -40,6 +41,15 @@ def draw(scatter=0.0, warp=0.0, same=True):
 
 def test_none_where_nothing_differs():
     assert fit_scatter(*draw(), CLAIMED_NOISE).is_none
+
+
+def test_a_size_at_the_largest_value_of_the_fit_is_named(monkeypatch):
+    """A descent that ends beyond this value; one that ends at a smaller one names nothing."""
+    clips, fit = draw(scatter=0.05)
+    for growth, named in ((9.0, ("loss_m_s2",)), (6.0, ())):
+        monkeypatch.setattr(stretch_scatter, "minimise_cost", lambda *_, end=growth: np.array([0.0, end, -9.0, 0.0]))
+        monkeypatch.setattr(stretch_scatter, "finite_cost", lambda *_: -1e9)
+        assert fit_scatter(clips, fit, CLAIMED_NOISE).unlimited == named
 
 
 def test_the_scatter_of_friction_is_found():
