@@ -59,9 +59,8 @@ MIN_FRAMES = 4  # outside the contact, before and after it
 MAX_WINDOWS = 12  # of frames in contact that are tried one after the other
 MIN_SIGNIFICANCE = 4.0  # standard errors by which the lines cross at less than one diameter
 STRAIGHT_CHI2 = 16.0  # rise of chi^2 up to which straight lines describe the balls after the hit
-# Delay of slides over that by a push like a half sine. A dashpot pushes from the touch on: slides begin at once.
-# A push as of Hertz rises late. The mean and the standard deviation are those of a share from 0 to 1.5.
-USUAL_DELAY, DELAY_STD = 0.75, 0.43
+# Relative standard deviation of the delay of slides, by five laws of the force, at restitutions of .4 to .9
+DELAY_STD = 0.5
 STRAIGHT = (*FREE[:8], "v1x", "v1y", "v2x", "v2y", *FREE[-2:])  # free motions without a slide
 _TAU = [FREE.index("log_tau1"), FREE.index("log_tau2")]
 
@@ -71,10 +70,10 @@ class LastingResiduals(PairResiduals):
 
     The last two parameters are lengths: by how much the paths miss each other across the line of centres, and d.
     kind: "tied", "free", or "straight", a free motion that no friction slows down. friction: of a tied motion, if it is
-    known within a quarter. delay: of the slides of a tied motion, over that by a push like a half sine.
+    known within a quarter. delay: of the slides of a tied motion, over the usual one.
     """
 
-    def __init__(self, pair: BallPair, kind: str, friction: float | None = None, delay: float = USUAL_DELAY) -> None:
+    def __init__(self, pair: BallPair, kind: str, friction: float | None = None, delay: float = 1.0) -> None:
         held = pair.zero_parameters | ({"drag", "decel"} if kind == "straight" else set())
         super().__init__(pair, {"tied": TIED, "free": FREE, "straight": STRAIGHT}[kind], held)
         self.kind, self.delay = kind, delay
@@ -137,11 +136,13 @@ def delay_of_slides(
     """Seconds by which a lasting contact delays slides: balls roll until the push exceeds 7/2 mu g.
 
     closing, m/s; before: s from the touch to t_c. Until then friction is 2/7 of the push, so that half of this time
-    counts. That is 7/2 mu g T^2/(pi^2 J) for a push like a half sine, which is the result.
+    counts. That is 7/2 mu g T^2/(pi^2 J) for a push like a half sine. A push as of Hertz rises later. A dashpot pushes
+    from the touch on, the more the lower r is. The mean of five laws is 1.2 r^1.5 of it.
     """
     lasts = before * (1 + r) / np.where(r.real > 0.1, r, 0.1)
     impulse = (1 + r) / 2 * closing
-    return np.asarray(SLIP_RATE * np.exp(log_mu) * GRAVITY * lasts**2 / (np.pi**2 * impulse))
+    half_sine = SLIP_RATE * np.exp(log_mu) * GRAVITY * lasts**2 / (np.pi**2 * impulse)
+    return np.asarray(1.2 * np.where(r.real > 0.05, r, 0.05) ** 1.5 * half_sine)
 
 
 def advance_slides(free: NDArray[np.inexact], delay: NDArray[np.inexact]) -> NDArray[np.inexact]:
@@ -304,6 +305,7 @@ class LastingFit:
         if self.problem.kind == "tied":
             effect = self.effect_of_delay()[:-1]
             cov += np.outer(effect, effect)
+            cov[r, r] += 2 * error * abs(effect[r])  # laws that push late keep more
         return replace(found, value=value, cov=cov)
 
     def effect_of_delay(self) -> Array:
@@ -313,7 +315,7 @@ class LastingFit:
         """
 
         def moved(by: float) -> LastingResiduals:
-            return LastingResiduals(self.problem.pair, "tied", delay=USUAL_DELAY + by)
+            return LastingResiduals(self.problem.pair, "tied", delay=1 + by)
 
         step = DELAY_STD
         _, rows = self.problem(self.x)
