@@ -14,6 +14,7 @@ from tracker.gas.energy import SINKS, measure_losses
 from tracker.gas.free_paths import FreePath
 from tracker.gas.gas import GasCamera, contact_pair_correlation, contact_rate, mean_free_path, measure_gas
 from tracker.gas.pair_correlation import pair_correlation
+from tracker.gas.temperature import HALVES, measure_temperatures
 from tracker.gas.velocities import HalfVelocities, find_slide_end, fit_velocities
 from tracker.measurement.crowd.contact_table import tabulate_contacts
 from tracker.measurement.positions import BallTrack, to_ball_tracks
@@ -439,3 +440,32 @@ def test_contacts_that_hide_next_to_others_are_as_many_as_a_steady_rate_makes():
     hidden = 4000 - len(frame)
     groups = group_contacts(table, [], 1e-9, 1 / FPS)
     assert groups.hiding.sum() == pytest.approx(hidden, rel=0.15)
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_usual_losses_of_many_contacts_may_all_be_wrong_in_one_direction(seen):
+    """40 contacts get the loss of 400 others, as their own is far off (seen) or unknown: each to its whole size.
+
+    Together they have the errors of 40 independent ones, and 0.3 of their sum.
+    """
+    paths = []
+    for k in range(440):
+        for ball, before, after in ((2 * k, 0.4, 0.02), (2 * k + 1, 0.0, 0.38 if k < 400 else 0.1)):
+            paths.append(make_path(ball, range(10), (before, 0), end=k))
+            if seen or k < 400 or ball == 2 * k:
+                paths.append(make_path(ball, range(11, 20), (after, 0), start=k))
+    table = make_kicks([(2 * k, 2 * k + 1, 0.01 * k, 0) for k in range(440)], np.full(440, 0.38))
+    last = measure_losses(paths, table, np.arange(20), 1e-9, 1 / FPS).iloc[-1]
+    usual = (0.4**2 - 0.02**2 - 0.38**2) / 2
+    assert last["lost_in_contacts"] == pytest.approx(440 * usual, rel=1e-6)
+    assert last["lost_in_contacts_std"] == pytest.approx(usual * np.hypot(0.3 * 40, np.sqrt(40)), rel=0.01)
+
+
+def test_balls_without_a_velocity_may_be_hotter_than_the_others():
+    """The temperature of 400 balls, where 100 others are unknown: these may be 0.3 hotter, beside their sampling."""
+    velocities = 0.1 * np.random.default_rng(1).standard_normal((400, 2))
+    columns = dict(zip(HALVES, [*velocities.T, *velocities.T], strict=True))
+    table = pd.DataFrame(columns).assign(frame=0, gain_even=0.0, gain_odd=0.0, gain_common=0.0, unsure=0.0, unknown=100)
+    found = measure_temperatures(table, 0.0).iloc[0]
+    all_hotter, sampling = 0.3 * 100 / 500, np.sqrt(100) / 500  # v^2/2 scatters by its mean
+    assert found["temperature_std"] / found["temperature"] == pytest.approx(np.hypot(all_hotter, sampling), rel=0.02)

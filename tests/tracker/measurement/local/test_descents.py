@@ -237,3 +237,30 @@ def test_a_singular_system_stops_no_other():
     one, singular = solve_each(systems, np.ones((2, 2, 1)))
     assert one.ravel().tolist() == [0.5, 0.5]
     assert np.isnan(singular).all()
+
+
+def test_the_prior_of_slips_counts_for_their_durations_and_directions():
+    """A slip is 7/2 of what friction takes in its duration. The density goes with the area of steps of these two."""
+    problem = replace(make_problem(1, 8), priors=LocalPriors(DIAMETER, slips=SLIPS))
+    problem = replace(problem, slides=dict.fromkeys(problem.slips, (0.03, 1.0)))
+
+    def find_slip(x, k):
+        lasts, angle = np.exp(x[problem.start[k] + 6]), x[problem.start[k] + 5]
+        return 3.5 * lasts * GRAVITY * np.exp(x[5] + x[problem.start[k] + 4]) * np.array([np.cos(angle), np.sin(angle)])
+
+    def find_log_area(x):
+        out, step = 0.0, 1e-5
+        for k in problem.slips:
+            steps = step * np.eye(problem.size)[[problem.start[k] + 5, problem.start[k] + 6]]
+            out += np.log(
+                abs(np.linalg.det([(find_slip(x + by, k) - find_slip(x - by, k)) / (2 * step) for by in steps]))
+            )
+        return out
+
+    assert len(problem.slips) == 2
+    one, other = guess(problem, 1), guess(problem, 2)
+    for k, lasts in zip(problem.slips, (0.1, 0.05), strict=True):
+        other[problem.start[k] + 6] = np.log(lasts)
+    change = problem.find_log_density(other) - problem.find_log_density(one)
+    assert change == pytest.approx(find_log_area(other) - find_log_area(one), abs=1e-6)
+    assert abs(change) > 1
