@@ -95,7 +95,7 @@ class SensorChip:
 
         Between two frames, whose pixels fill the processor's caches, each would take three times as long.
         """
-        at_once = 32
+        at_once = 20
         if (clip, frame) not in self._streams:
             following = range(frame, frame + at_once)
             self._streams = {(clip, k): _generator(self.root_seed, (clip, 1, k)) for k in following}
