@@ -589,16 +589,17 @@ def _detect_and_link(
         linker = load_linker(name, view.camera, settings)
         return link_into_tracks(glints, view.camera, point, takes, linker, settings)
 
-    found, view, glints = detect_in(view)
-    tracks = link(view, glints)
-    if point == "glint" and may_be_fast(glints, tracks, view.settings.link):
-        usual = view.settings.link
+    usual = view.settings.link
+    found, used, glints = detect_in(view)
+    tracks = link(used, glints)
+    if point == "glint" and may_be_fast(glints, tracks, usual):
+        # from the exposure of the camera file again: wrong links may have shown a wrong one
         _, there, smeared = detect_in(set_link_settings(view, allow_fast_balls(view.camera, usual)))
         faster = raise_speed_limit(smeared, there.camera, usual)
         if faster is not usual:
-            found, view, glints = detect_in(set_link_settings(view, faster))
-            tracks = link(view, glints)
-    return found, view, tracks
+            found, used, glints = detect_in(set_link_settings(view, faster))
+            tracks = link(used, glints)
+    return found, used, tracks
 
 
 def measure_clip(

@@ -1,5 +1,7 @@
 """Films of balls that are faster than the linker expects, and specks that no speed explains."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tracker_film import CAMERA
@@ -8,7 +10,7 @@ import synthcam
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.camera.recordings import Recording
-from tracker.detection.detect import make_view
+from tracker.detection.detect import detect, make_view
 from tracker.detection.fast_balls import allow_fast_balls, may_be_fast, raise_speed_limit, set_link_settings
 from tracker.detection.glints import Glints
 from tracker.detection.likelihood.patches import GlintGeometry
@@ -64,8 +66,7 @@ def test_glints_are_cut_out_large_enough_for_fast_balls():
     assert GlintGeometry(view).reach < GlintGeometry(view).half + smear_px / 2 < GlintGeometry(fast).reach
 
 
-@pytest.mark.parametrize("v0", [1.6, 2.4])
-def test_a_collision_at_several_metres_a_second_is_measured(v0):
+def draw_collision(v0):
     scene = synthcam.Scene.read(
         "painter_behringer",
         launch={"v0": v0, "heading": 0.0, "contact": [0.0, 0.0]},
@@ -73,7 +74,12 @@ def test_a_collision_at_several_metres_a_second_is_measured(v0):
         camera={"size": [640, 240]},
     )
     clip = scene.draw(0, seed=5)
-    film = Recording(0, Camera.from_dict(clip.camera_json), wrap_frames(np.array(list(clip.pictures()))))
+    return Recording(0, Camera.from_dict(clip.camera_json), wrap_frames(np.array(list(clip.pictures()))))
+
+
+@pytest.mark.parametrize("v0", [1.6, 2.4])
+def test_a_collision_at_several_metres_a_second_is_measured(v0):
+    film = draw_collision(v0)
     tracked = track_clip(film)
     assert any("faster than 1 m/s" in str(note) for note in tracked.notes)
     (row,), _ = measure_clip(tracked.tracks, tracked.camera)
@@ -82,3 +88,17 @@ def test_a_collision_at_several_metres_a_second_is_measured(v0):
     slow = track_clip(film, settings=TrackerSettings(link=LinkSettings(max_speed_m_s=1.0)))
     rows, _ = measure_clip(slow.tracks, slow.camera)
     assert rows[0]["status"] != "ok"
+
+
+def test_an_exposure_that_slow_links_have_shown_does_not_stay(monkeypatch):
+    def mistake(clip, view, name):
+        assert view.camera.exposure_from_blur is None
+        found = detect(clip, view, name)
+        if view.settings.link.max_speed_m_s is None:
+            view = replace(view, camera=replace(view.camera, exposure_from_blur=3e-3))
+        return found, view
+
+    monkeypatch.setattr("tracker.recording.detect_until_blur_converges", mistake)
+    tracked = track_clip(draw_collision(1.6))
+    assert any("faster than 1 m/s" in str(note) for note in tracked.notes)
+    assert tracked.camera.exposure_from_blur is None
