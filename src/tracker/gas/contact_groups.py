@@ -115,9 +115,12 @@ def group_contacts(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: flo
 def _count_hidden(contacts: pd.DataFrame, frame_s: float) -> Array:
     """Count the contacts (n,) that are expected within `HIDING_FRAMES` of each, by those of its balls a little farther.
 
-    Within 2 frames many are not found; up to 12 frames the density of contacts is about the same.
+    Within 2 frames many are not found; up to 12 frames the density of contacts is about the same. A table without kicks
+    is not the tracker's, and may have all contacts.
     """
     nearest, farthest = 2.0, 12.0  # frames
+    if "kick" not in contacts:
+        return np.zeros(len(contacts))
     balls, frame = contacts[["particle1", "particle2"]].to_numpy(), contacts["t_s"].to_numpy() / max(frame_s, 1e-12)
     near = np.zeros(len(contacts))
     for ball in np.unique(balls[balls >= 0]):

@@ -440,6 +440,7 @@ def test_contacts_that_hide_next_to_others_are_as_many_as_a_steady_rate_makes():
     hidden = 4000 - len(frame)
     groups = group_contacts(table, [], 1e-9, 1 / FPS)
     assert groups.hiding.sum() == pytest.approx(hidden, rel=0.15)
+    assert not group_contacts(table.drop(columns="kick"), [], 1e-9, 1 / FPS).hiding.any()  # all may be given
 
 
 @pytest.mark.parametrize("seen", [True, False])
