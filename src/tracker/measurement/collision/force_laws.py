@@ -34,14 +34,15 @@ def solve_restitutions(ratio: Array, friction: Array, tangent: Array, way: Array
     """
     table = _tabulate_losses()
     lasts, delta = np.full((len(ratio), 5), np.nan), np.zeros((len(ratio), 5))
-    for _ in range(3):
+    for _ in range(6):
         guess = np.clip(ratio[:, None] + delta, LEAST_RESTITUTION, 1.0)
         loss = np.stack([np.interp(guess[:, k], *table[k, :2]) for k in range(5)], -1)
         free = np.stack([np.interp(guess[:, k], table[k, 0], table[k, 2]) for k in range(5)], -1)
         lasts = np.where(np.isfinite(lasts), lasts, free)
         push, turn = friction[:, None] / lasts, (tangent**2 * way)[:, None] / lasts
         thrown, lasts = _throw_back(loss, push, turn, way[:, None] / lasts)
-        delta = np.where(np.isfinite(thrown), guess - thrown, delta)
+        # friction may keep balls of this restitution together, so that it is larger
+        delta = np.where(np.isfinite(thrown), guess - thrown, delta + 0.15)
     return np.asarray(ratio[:, None] + delta)
 
 

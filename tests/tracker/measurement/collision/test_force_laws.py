@@ -61,3 +61,10 @@ def test_balls_that_hardly_part_have_a_finite_restitution():
 
 def test_an_instant_needs_no_correction():
     assert solve_one(0.7, way=0.0) == pytest.approx(0.7, abs=1e-3)
+
+
+def test_balls_that_friction_would_keep_together_have_a_larger_restitution():
+    """Balls whose restitution is the ratio of speeds would not part against this friction."""
+    found = solve_one(0.15, friction=0.45, way=0.15)
+    assert found.min() > 0.25
+    assert not (found == found.round(2)).any()  # solved, not only raised

@@ -179,7 +179,7 @@ def test_some_of_a_slide_is_left_however_late_it_is():
 
 
 @pytest.mark.gate
-@pytest.mark.parametrize(("r", "friction", "duration", "b"), [(0.8, 0.2, 0.015, 0.0), (0.9, 0.08, 0.025, 0.0)])
+@pytest.mark.parametrize(("r", "friction", "duration", "b"), [(0.8, 0.1, 0.015, 0.0), (0.9, 0.08, 0.025, 0.0)])
 def test_errors_by_the_law_of_the_force_are_as_large_as_its_spread(r, friction, duration, b):
     """Without noise: by five laws, the tied fit gives values about the true ones, which scatter by their errors."""
     offs = []
