@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from synthcam_shared.arrays import Array
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.detector import View
 from tracker.detection.glints import Glints
@@ -12,6 +12,8 @@ from tracker.detection.link import Tracks, assign_track_numbers, find_reach
 from tracker.settings import USUAL_SPEED_M_S, USUAL_STEP_PX, LinkSettings
 
 MIN_GAIN = 5  # detections that faster balls must explain
+MIN_UNLINKED_SHARE = 0.005  # of all detections; a crowd always leaves some out
+MAX_DETECTIONS = 1500  # that are linked with each reach
 MIN_GAIN_SHARE = 0.1  # of the detections that slow balls leave unexplained
 SPEED_MARGIN = 1.5  # of the speed limit over the fastest ball: others may be lost until the limit is raised
 
@@ -21,7 +23,7 @@ def may_be_fast(glints: Glints, tracks: Tracks, settings: LinkSettings) -> bool:
     lengths = np.unique(tracks.particle, return_counts=True)[1]
     unlinked = len(glints) - int(lengths[lengths >= 4].sum())
     given = settings.max_speed_m_s is not None or settings.max_step_px is not None
-    return not given and unlinked >= MIN_GAIN
+    return not given and unlinked >= max(MIN_GAIN, MIN_UNLINKED_SHARE * len(glints))
 
 
 def allow_fast_balls(camera: Camera, settings: LinkSettings) -> LinkSettings:
@@ -39,7 +41,7 @@ def raise_speed_limit(glints: Glints, camera: Camera, settings: LinkSettings) ->
 
     The detections are linked with two, four, ... times the usual reach. Detections are explained if they lie on smooth
     paths: specks seldom make such a path of four frames, however far they may move. Of the reaches that explain nearly
-    as many as the best, the least counts.
+    as many as the best, the least counts. In films of many detections the frames with most unexplained ones decide.
 
     glints: detected with the settings of `allow_fast_balls`.
     Returns the same settings if the usual reach explains as much.
@@ -47,7 +49,9 @@ def raise_speed_limit(glints: Glints, camera: Camera, settings: LinkSettings) ->
     if len(glints) < MIN_GAIN:
         return settings
     usual, farthest = find_reach(camera, settings), float(np.hypot(*camera.size)) / 3  # px; seen in four frames
-    slow = np.isfinite(_find_smooth_steps(glints, camera, settings)).sum()
+    is_slow = np.isfinite(_find_smooth_steps(glints, camera, settings))
+    rows = _select_frames(glints, ~is_slow)
+    glints, slow = glints.take(rows), int(is_slow[rows].sum())
     tried = list[tuple[int, float]]()  # detections that a reach explains, and the longest step
     for doubled in range(1, 1 + max(0, int(np.log2(farthest / usual)))):
         steps = _find_smooth_steps(glints, camera, _set_reach(usual * 2.0**doubled, camera, settings))
@@ -66,6 +70,16 @@ def describe_speed_limit(used: LinkSettings, given: LinkSettings) -> str:
     if used.max_speed_m_s is not None:
         return f"some balls are faster than {USUAL_SPEED_M_S:g} m/s; link.max_speed_m_s is {used.max_speed_m_s:.2g}"
     return f"some balls move by more than {USUAL_STEP_PX:g} px a frame; link.max_step_px is {used.max_step_px:.0f}"
+
+
+def _select_frames(glints: Glints, unexplained: Flags) -> Ints:
+    """Select the detections of successive frames, `MAX_DETECTIONS` at most, of which most are unexplained."""
+    order = np.argsort(glints.frame, kind="stable")
+    starts = np.append(np.unique(glints.frame[order], return_index=True)[1], len(order))
+    ends = starts[np.searchsorted(starts, starts[:-1] + MAX_DETECTIONS, side="right") - 1]
+    total = np.append(0, np.cumsum(unexplained[order]))
+    best = int(np.argmax(total[ends] - total[starts[:-1]]))
+    return np.asarray(order[starts[best] : ends[best]])
 
 
 def _find_smooth_steps(glints: Glints, camera: Camera, settings: LinkSettings) -> Array:

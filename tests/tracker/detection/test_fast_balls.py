@@ -51,6 +51,18 @@ def test_slow_balls_and_specks_raise_no_limit(step, specks):
     assert raise_speed_limit(follow_lines(step, specks), METRIC, settings) is settings
 
 
+def test_the_frames_with_fast_balls_decide_in_a_film_of_many_slow_ones():
+    """Two are fast in ten of seventy frames; of 3,500 detections 1,500 are linked."""
+    fast = follow_lines(70.0, frames=10)
+    fast.frame[:] += 50
+    frame, x, y = np.meshgrid(np.arange(70), np.arange(40, 640, 60), np.arange(20, 480, 100), indexing="ij")
+    slow = Glints.at(x.ravel() + 0.2 * frame.ravel(), y.ravel() + 15.0, 0.02, 1000.0)
+    slow.frame[:] = frame.ravel()
+    settings = LinkSettings()
+    assert find_reach(BARE, raise_speed_limit(slow, BARE, settings)) == find_reach(BARE, settings)
+    assert 70 < find_reach(BARE, raise_speed_limit(Glints.join([slow, fast]), BARE, settings)) < 140
+
+
 def test_a_limit_that_the_user_gave_holds():
     glints = follow_lines(90.0, frames=5)
     for settings, fast in ((LinkSettings(), True), (LinkSettings(max_speed_m_s=1.0), False)):
