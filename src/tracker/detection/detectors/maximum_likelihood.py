@@ -185,7 +185,8 @@ class MaximumLikelihood:
         """Fit misfits, and candidates that seem no glints, with the blurs of their own shapes; `fit` gets better ones.
 
         The tracks give a wrong blur where a ball is hit or lost. If it is hit during the exposure, its path is bent.
-        The middle of a straight line fitted to it is the mean position during the exposure, as elsewhere.
+        The middle of a straight line fitted to a path of up to three widths of the glint is the mean position during
+        the exposure, within 0.02 of a width; longer bent paths are misfits.
         """
         min_share = 0.25  # of the light of a typical glint; reflections have less
         rows = np.flatnonzero(~clipped & (~fit.good | ((fit.glints.flags & PositionFlag.MISFIT) > 0)))
