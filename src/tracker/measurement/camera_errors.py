@@ -188,7 +188,7 @@ def add_camera_errors_to_lasting(read: CollisionFits, camera: Camera) -> Collisi
         def values(error: CameraError, by: float, fit: LastingFit = fit, shift: Array = shift) -> Array:
             problem = LastingResiduals(error.pair(fits.pair, by, camera.fps), fit.problem.kind)
             moved = replace(fit, problem=problem, x=fit.x + by * shift[:, errors.index(error)])
-            return np.append(moved.values().value, moved.times(moved.x).sum())
+            return np.append(moved.values.value, moved.times(moved.x).sum())
 
         response = differentiate_by_camera(errors, values)
         changed[name] = replace(getattr(read, name), chi2=fit.chi2 - explained)

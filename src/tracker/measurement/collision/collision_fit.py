@@ -270,7 +270,7 @@ def fit_lasting_collision(
         if not seen:
             unseen |= name_quantities_of_slide(ball)
     # the laws that tie v0 and b hold less exactly while a contact lasts
-    tied_values, free_values = fits.tied.values(), fits.free.values()
+    tied_values, free_values = fits.tied.values, fits.free.values
     value, cov = tied_values.value.copy(), tied_values.cov.copy()
     for k in (QUANTITY_NAMES.index("v0"), QUANTITY_NAMES.index("b")):
         value[k], cov[k], cov[:, k] = free_values.value[k], 0.0, 0.0

@@ -20,7 +20,7 @@ from synthcam_shared.arrays import Array, Flags
 # 4: straight loading, and unloading that is steeper by 1/c^2 and leaves a dent (Walton and Braun 1986).
 LARGEST_LOSSES = (0.9, 0.9, 4.0, 4.0)  # of the first four; that of dents is the restitution
 LEAST_RESTITUTION = 0.1
-TIME_STEP = 0.04
+TIME_STEP = 0.06
 MAX_TIME = 12.0
 
 
@@ -32,7 +32,7 @@ def solve_restitutions(ratio: Array, friction: Array, tangent: Array, way: Array
     - tangent (n,): of the angle between approach and line of centres.
     - way (n,): closing speed times duration, in diameters.
     """
-    table = _tabulate_losses()
+    table, tolerance = _tabulate_losses(), 2e-4  # of a restitution; its error is more than ten times that
     lasts, delta = np.full((len(ratio), 5), np.nan), np.zeros((len(ratio), 5))
     for _ in range(6):
         guess = np.clip(ratio[:, None] + delta, LEAST_RESTITUTION, 1.0)
@@ -42,7 +42,9 @@ def solve_restitutions(ratio: Array, friction: Array, tangent: Array, way: Array
         push, turn = friction[:, None] / lasts, (tangent**2 * way)[:, None] / lasts
         thrown, lasts = _throw_back(loss, push, turn, way[:, None] / lasts)
         # friction may keep balls of this restitution together, so that it is larger
-        delta = np.where(np.isfinite(thrown), guess - thrown, delta + 0.15)
+        before, delta = delta, np.where(np.isfinite(thrown), guess - thrown, delta + 0.15)
+        if np.max(np.abs(delta - before)) < tolerance:
+            break
     return np.asarray(ratio[:, None] + delta)
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -281,6 +282,7 @@ class LastingFit:
         r = solve_restitutions(*(np.ravel(each) for each in every)).reshape(*np.shape(lasts), 5)
         return np.stack([r.mean(axis=-1), r.std(axis=-1)], -1)
 
+    @cached_property
     def values(self) -> DerivedValues:
         """The quantities that it determines."""
         if self.problem.kind == "tied":
@@ -299,8 +301,12 @@ class LastingFit:
         distance = float(self.x[-1]) / self.diameter
         value[b], cov[b], cov[:, b] = value[b] * distance, cov[b] * distance, cov[:, b] * distance
         cov[b, b] += (value[b] * float(np.sqrt(self.cov[-1, -1])) / self.diameter) ** 2
-        by = self.slopes(self.restitution)[0]
-        value[r], error = self.restitution(self.x)
+        size = 0.01 * np.sqrt(np.diag(self.cov))
+        moves = np.concatenate([0 * size[None], np.diag(size), -np.diag(size)])  # at once: the integration is slow
+        found_r = self.restitution(self.x + moves)
+        high, low = np.split(found_r[1:, 0], 2)
+        by = (high - low) / (2 * size)
+        value[r], error = found_r[0]
         cov[r, r] = float(by @ self.cov @ by) + error**2
         if self.problem.kind == "tied":
             effect = self.effect_of_delay()[:-1]
@@ -388,14 +394,14 @@ def fit_lasting_contact(
     if _sigmas_within(best) > least_sigma and fit.times(fit.x).sum() > min_duration_frames * step:
         lasting = _measure_duration(best, pair, window)
     elif not is_straight or abs(_sigmas_within(best)) > least_sigma:
-        return None if is_straight or shows_friction(tied.values(), settings) else _fit_impact(fit, pair, level)
+        return None if is_straight or shows_friction(tied.values, settings) else _fit_impact(fit, pair, level)
     if is_straight:
         balanced = not _momentum_p(fit) < level
         if lasting is None and not balanced:
             return None
         return LastingFits(lasting, outside, fit, fit, (False, False), _may_hide_slide(fit), balanced)
     left = float(np.exp(fit.free[_TAU]).min()) - fit.times(fit.x)[1]  # of the slides once the balls have parted, s
-    hides = left < MIN_FRAMES * step or (not shows_friction(tied.values(), settings) and _may_hide_slide(tied))
+    hides = left < MIN_FRAMES * step or (not shows_friction(tied.values, settings) and _may_hide_slide(tied))
     one, two = (_is_slide_end_seen(fit, ball, track) for ball, track in outside.balls)
     return LastingFits(lasting, outside, tied, fit, (one, two), hides)
 
@@ -665,7 +671,7 @@ def _may_hide_slide(straight: LastingFit) -> bool:
         rolling = LastingFit.to(pair, "tied", starts, mu)
         if rolling.chi2 > straight.chi2 + 2 * STRAIGHT_CHI2:
             continue
-        values = rolling.values()
+        values = rolling.values
         found = values.value[QUANTITY_NAMES.index("mu_k")]
         if not 0.9 * frictions[0] < found < 1.1 * frictions[-1]:
             continue
@@ -676,7 +682,7 @@ def _may_hide_slide(straight: LastingFit) -> bool:
 
 def _tied_starts(free: LastingFit) -> list[Array]:
     """Starts (p,) of the tied fit, from what a free fit implies."""
-    index, values = LastingResiduals(free.problem.pair, "tied").index, free.values().value
+    index, values = LastingResiduals(free.problem.pair, "tied").index, free.values.value
     r, mu = (float(values[QUANTITY_NAMES.index(name)]) for name in ("r", "mu_k"))
     impact = np.clip(r, 0.05, 1.0), np.log(np.clip(np.nan_to_num(mu), 1e-3, 1.0))
     whole = (np.array([*free.free[:8], *impact, c, 0.0, 0.0, 0.0, *free.free[-2:]]) for c in (0.1, 0.35))
