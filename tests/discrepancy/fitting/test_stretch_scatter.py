@@ -105,7 +105,7 @@ def fit_with_scatter(clips):
     return scatter, clips, fit_base_model(clips, ON_AIR, CLAIMED_NOISE)
 
 
-@pytest.mark.parametrize("power", [0, 2])
+@pytest.mark.parametrize("power", [0, pytest.param(2, marks=pytest.mark.gate)])
 def test_accelerations_on_air_are_found_and_how_they_grow_with_the_speed(power):
     found, _, fit = fit_with_scatter(glide(3, power=power))
     size = (found.speed_m_s / 0.35) ** power
@@ -121,6 +121,7 @@ def test_nothing_differs_between_bodies_that_lose_speed_alike():
     assert fit_with_scatter(glide(4, along=0.0, across=0.0))[0].is_none
 
 
+@pytest.mark.gate
 def test_half_of_all_tilts_at_their_detection_limit_exceed_it():
     """The limit of a tilt of the plate, from tracks without it, is what a tilt needs in tracks that scatter as much."""
     sigma, wanted = [], current_policy().detection_limit_sigma

@@ -142,6 +142,7 @@ def test_noise_hides_a_contact_from_frame_to_frame_but_not_from_many():
     assert abs(z(row, "r", 0.7)) < 4
 
 
+@pytest.mark.gate
 def test_errors_of_the_scale_move_the_duration_with_the_diameter():
     hit = SoftHit(0.014, b=0.2)
     tracks = hit.tracks(np.random.default_rng(0))
