@@ -11,7 +11,7 @@ LARGEST = 252  # samples, of a square; larger points are not drawn everywhere
 EXPOSURES = 2  # of one tile that may be drawn in squares: a sum of two does not depend on their order
 
 
-class BallSquares(NamedTuple):
+class SquaresByProgram(NamedTuple):
     """Squares (n, 4) of samples: the middle's column and row in the buffer, the side, and the number of the ball.
 
     Those of one ball overlap. A sample belongs to the first kind whose square holds it.
@@ -22,7 +22,7 @@ class BallSquares(NamedTuple):
     rest: Float32
 
 
-def divide_balls(jobs: Float32, nearest: Float32) -> tuple[BallSquares, ...] | None:
+def divide_balls(jobs: Float32, nearest: Float32) -> tuple[SquaresByProgram, ...] | None:
     """Divide balls with one neighbour or none into squares.
 
     jobs: instance matrices (n, 4, 4), as the shader reads them.
@@ -56,7 +56,7 @@ def divide_balls(jobs: Float32, nearest: Float32) -> tuple[BallSquares, ...] | N
     for turn in (early & ~many, ~early & ~many, many):
         parts = turn & ~entire
         drawn = turn & (mirror[:, 2] > 0), parts & (inside[:, 2] > 0), parts
-        parted.append(BallSquares(mirror[drawn[0]], inside[drawn[1]], whole[drawn[2]]))
+        parted.append(SquaresByProgram(mirror[drawn[0]], inside[drawn[1]], whole[drawn[2]]))
     return tuple(parted)
 
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from synthcam.camera.render import windowless
-from synthcam.camera.render.ball_squares import BallSquares
+from synthcam.camera.render.ball_squares import SquaresByProgram
 from synthcam_shared.arrays import Float32
 from synthcam_shared.errors import NoGL as NoGL
 
@@ -43,7 +43,7 @@ class BallBatch(NamedTuple):
     jobs: Float32  # instance matrices (n, 4, 4)
     others: Float32  # their neighbours (n, k, 4)
     defines: dict[str, int]  # of the shader
-    squares: Sequence[BallSquares] | None = None  # as of `divide_balls`
+    squares: Sequence[SquaresByProgram] | None = None  # as of `divide_balls`
 
 
 class _Programs(pyrender.shader_program.ShaderProgramCache if pyrender else object):  # type: ignore[misc]
