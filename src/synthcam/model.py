@@ -399,8 +399,10 @@ def refuse_search_only_laws(free_laws: Any, where: str) -> None:
 
 def check_free(names: Iterable[str], where: str) -> tuple[str, ...]:
     """Check the names in a model's `free`. Raises InputError unless each is LAUNCH_SPIN or a parameter."""
-    known = {*BASE_PARAMETERS, LAUNCH_SPIN, *(f"{n}.{p.name}" for n, e in library().items() for p in e.parameters())}
     names = tuple(names)
+    if not names:
+        return ()
+    known = {*BASE_PARAMETERS, LAUNCH_SPIN, *(f"{n}.{p.name}" for n, e in library().items() for p in e.parameters())}
     for k, name in enumerate(names):
         if name in names[:k]:
             raise InputError(f"{where}: free: {name} is given twice; expected each parameter once")

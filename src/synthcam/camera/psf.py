@@ -7,7 +7,6 @@ come first, in closed form, sampled so finely that no frequency folds back.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
 from scipy.special import j1
 
 from synthcam_shared.arrays import Array, Float32
@@ -54,6 +53,8 @@ class Psf:
         """Blur patches (n, w steps, w steps), and sample them at the pixels (n, w, w)."""
         if self.is_gaussian:
             return patches
+        from scipy import fft  # here alone: slow to load
+
         side = patches.shape[-1]
         rows, columns = fft.fftfreq(side, 1 / self.steps), fft.rfftfreq(side, 1 / self.steps)
         transfer = self.transfer(np.hypot(rows[:, None], columns)).astype(np.float32)

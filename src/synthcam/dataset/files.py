@@ -3,7 +3,6 @@
 import hashlib
 import html
 import json
-import math
 import os
 import re
 from collections.abc import Callable, Iterator
@@ -13,21 +12,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import tifffile
 from numpy.typing import NDArray
 
-from synthcam.dataset.parquet import encode_table
+from synthcam.dataset.parquet import build_array, encode_table
 from synthcam.dataset.recorded_dataset import list_clip_folders
 from synthcam.scene import ground_truth
-from synthcam.scene.clip import Clip, list_track_columns
+from synthcam.scene.clip import Clip, list_energy_columns, list_track_columns
 from synthcam_shared.errors import InputError
 
 Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
 SUMS = "SHA256SUMS"
 VIDEO = "frames.tif"
+_IN_NUMPY = {pa.int64(): np.int64, pa.float64(): np.float64, pa.string(): np.str_}
 
 
 def write_clip(
@@ -68,7 +67,7 @@ def write_clip(
     events = ground_truth.list_true_events(clip.view.motion, clip.camera.fps)
     tables = {"tracks": list_track_columns(clip), "events": events}
     if clip.drawn.get("launches"):
-        tables["energy"] = {str(name): column.to_numpy() for name, column in clip.energy.items()}
+        tables["energy"] = list_energy_columns(clip)
     for name, table in tables.items():
         # by way of memory, so that a full disk is the same error as for other files
         (secret / f"{name}.parquet").write_bytes(encode_table(table))
@@ -147,9 +146,12 @@ def _write_rows(root: Path) -> tuple[int, list[str]]:
         for start in range(0, len(clips), 1024):  # rows in memory at a time
             batch = clips[start : start + 1024]
             rows = [json.loads((c / "truth" / "scene.json").read_text())["row"] for c in batch]
-            rows = [{k: math.nan if v is None else v for k, v in row.items()} for row in rows]
             names |= dict.fromkeys(row["scene"] for row in rows)
-            writer.write_table(pa.Table.from_pylist(rows, schema=schema))
+            arrays = [  # with NaN for None
+                build_array(np.array([row[name] for row in rows], _IN_NUMPY[kind]), kind, nan_is_null=False)
+                for name, kind in columns.items()
+            ]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
     return len(clips), list(names)
 
 
@@ -244,10 +246,11 @@ def _counts(folder: Path) -> list[str]:
         return [] if numbers == wanted else [f"clips/: {len(numbers)} folders for {len(wanted)} clips of the shard"]
     if not (folder / "truth" / "clips.parquet").is_file():
         return [] if numbers == list(range(len(clips))) else [f"clips/: {len(clips)} folders, with gaps between them"]
-    table = pd.read_parquet(folder / "truth" / "clips.parquet", columns=["clip", "frames_sha256"])
-    if numbers != table["clip"].tolist():
-        problems.append(f"clips/: {len(clips)} folders for {len(table)} rows of truth/clips.parquet")
-    for path, digest in zip(clips, table["frames_sha256"], strict=False):
+    table = pq.read_table(folder / "truth" / "clips.parquet", columns=["clip", "frames_sha256"]).to_pydict()
+    listed, digests = table["clip"], table["frames_sha256"]
+    if numbers != listed:
+        problems.append(f"clips/: {len(clips)} folders for {len(listed)} rows of truth/clips.parquet")
+    for path, digest in zip(clips, digests, strict=False):
         withheld = not (path / "camera.json").exists()
         if digest and not withheld and digest != hash_file(path / VIDEO):
             problems.append(f"clips/{path.name}/{VIDEO}: not the frames of truth/clips.parquet")

@@ -8,16 +8,18 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
-import pandas as pd
 import tifffile
 from numpy.typing import NDArray
 
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.errors import InputError, first_line
 from synthcam_shared.track_formats import split_by_particle
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Item = TypeVar("Item")
 
@@ -170,6 +172,8 @@ class RecordedClip:
         return self.secret
 
     def _read_table(self, name: str) -> pd.DataFrame:
+        import pandas as pd  # here alone: slow to load
+
         table: pd.DataFrame = self._read(self._secret / f"{name}.parquet", pd.read_parquet)
         return table
 
@@ -284,6 +288,8 @@ class Dataset(LazySequence[RecordedClip]):
     @cached_property
     def truth(self) -> pd.DataFrame:
         """The scalars of all collisions, a row for each clip, with the columns of ``truth/clips.parquet``."""
+        import pandas as pd  # here alone: slow to load
+
         if self.secret is None:
             raise InputError(f"{self.folder}: its truth is withheld; open_dataset takes the folder with it as `truth`")
         path = self.secret / "truth" / "clips.parquet"

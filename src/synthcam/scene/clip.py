@@ -1,14 +1,15 @@
 """A clip: one experiment with all its numbers drawn. It can be solved and filmed, and has the truth."""
 
+from __future__ import annotations
+
 import pickle
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -31,6 +32,9 @@ from synthcam.scene.materials import build_finish, build_varnish, list_screen_co
 from synthcam.scene.motion import Motion
 from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CONTACT_UPSTREAM_S = 0.015 / 0.6  # at 0.6 m/s, contact is 15 mm before the centre: the slide ends in view
 
@@ -284,6 +288,8 @@ class Clip:
         - state: rest, roll, slide, fly, glide or push; visible: the whole outline is in the picture
         - qx, qy, qz, qw, of balls with a pattern: the rotation from the ball's axes to the world's
         """
+        import pandas as pd  # here alone: slow to load
+
         return pd.DataFrame(list_track_columns(self))
 
     @property
@@ -295,8 +301,9 @@ class Clip:
         - lost_by_sliding, lost_by_rolling, lost_in_air: during such motion
         - given_by_hand: by launches and pushes
         """
-        times = np.clip(self.view.spans(self.frames).mean(axis=1), self.view.motion.t0, self.view.motion.t1)
-        return ground_truth.make_true_energies(self.launch.bodies, self.view.motion, times, self.model.gravity)
+        import pandas as pd  # here alone: slow to load
+
+        return pd.DataFrame(list_energy_columns(self))
 
 
 def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") -> Clip:
@@ -358,6 +365,13 @@ def list_track_columns(clip: Clip) -> ground_truth.Columns:
     """List the columns of `Clip.tracks`, which takes half the time of a table."""
     bodies, turning = clip.launch.bodies, clip.orientation
     return ground_truth.list_true_tracks(bodies, clip.view, clip.lamp, clip.frames, turning, heights=clip.heights)
+
+
+def list_energy_columns(clip: Clip) -> ground_truth.Columns:
+    """List the columns of `Clip.energy`."""
+    motion = clip.view.motion
+    times = np.clip(clip.view.spans(clip.frames).mean(axis=1), motion.t0, motion.t1)
+    return ground_truth.list_true_energies(clip.launch.bodies, motion, times, clip.model.gravity)
 
 
 def _build_launch(model: Model, launch: dict[str, Any], time: float) -> Launch:

@@ -1,11 +1,12 @@
 """The ground truth of a clip, as docs/format.md defines it: scalars of the collision, tracks, events."""
 
+from __future__ import annotations
+
 import itertools
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from synthcam.camera.occlusion import compute_hidden_shares
@@ -18,6 +19,9 @@ from synthcam.dynamics.trajectory import Event, Trajectory
 from synthcam.model import Bodies, Model
 from synthcam.scene.film_time import FilmedMotion
 from synthcam_shared.arrays import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Columns = dict[str, NDArray[Any]]  # of a table, by name
 
@@ -96,6 +100,8 @@ def make_true_tracks(
     heights: Array | None = None,
 ) -> pd.DataFrame:
     """Make the true tracks, the table `truth/tracks.parquet`, from the arguments of `list_true_tracks`."""
+    import pandas as pd  # here alone: slow to load
+
     return pd.DataFrame(list_true_tracks(bodies, view, lamp, frames, turning, every, heights))
 
 
@@ -150,6 +156,8 @@ def _is_whole(camera: PinholeCamera, centres: Array, radius: float, height: floa
 
 def make_true_events(motion: Trajectory, fps: float) -> pd.DataFrame:
     """Make the true events, the table `truth/events.parquet`; impulses in N s."""
+    import pandas as pd  # here alone: slow to load
+
     return pd.DataFrame(list_true_events(motion, fps))
 
 
@@ -178,8 +186,8 @@ SINKS = {
 }
 
 
-def make_true_energies(bodies: Bodies, motion: Trajectory, times: Array, gravity: float) -> pd.DataFrame:
-    """Make the true energies, the table `truth/energy.parquet`: energy at times (m,), s, and by what it went, J.
+def list_true_energies(bodies: Bodies, motion: Trajectory, times: Array, gravity: float) -> Columns:
+    """List the columns of `truth/energy.parquet`: energy at times (m,), s, and by what it went, J.
 
     The energy is that of translation, spin and height. An event takes what the bodies lose in that instant, a kind of
     motion what they lose along it; `given_by_hand` has the other sign. A contact that lasts takes all that its bodies
@@ -225,7 +233,7 @@ def make_true_energies(bodies: Bodies, motion: Trajectory, times: Array, gravity
     lost["given_by_hand"] = 0.0 - lost["given_by_hand"]
     whole = energy(motion.at(times).swapaxes(0, 1), np.arange(len(motion.legs))).sum(axis=1)
     lowest = float((bodies.mass * bodies.radius).sum() * gravity)
-    return pd.DataFrame({"frame": np.arange(len(times)), "t_s": times, "energy": whole - lowest} | lost)
+    return {"frame": np.arange(len(times)), "t_s": times, "energy": whole - lowest} | lost
 
 
 def _list_lasting_contacts(motion: Trajectory) -> dict[int, list[tuple[float, float]]]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from synthcam.dynamics.contacts.walls import Wall
@@ -21,6 +20,7 @@ from synthcam.scene.table_drawing import DrawnBodies, draw_paths, write_animatio
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
 
 
@@ -103,6 +103,8 @@ class Motion:
         InputError
             If a time is not a number, or outside the solved interval.
         """
+        import pandas as pd  # here alone: slow to load
+
         try:
             times = np.atleast_1d(np.asarray(t, dtype=float)).ravel()
             states, kinds = self.trajectory.at(times), self.trajectory.motion(times)

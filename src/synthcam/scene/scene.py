@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -84,10 +85,20 @@ class TimingSettings(Settings):
 @cache_until_effects_change
 def scene_file() -> type[Settings]:
     """The sections of a scene as a pydantic model, for numbers; any number may be a distribution instead."""
+    return _define_scene(effect_settings(), table_settings())
+
+
+@cache
+def _scene_file_without_effects() -> type[Settings]:
+    """The same for scenes without effects and free laws: the library takes .07 s to load."""
+    return _define_scene(Settings, Settings)
+
+
+def _define_scene(effects: type[Settings], free_laws: type[Settings]) -> type[Settings]:
     sections: dict[str, Any] = {
         "ball": BallSettings,
         "model": ModelSettings,
-        "effects": effect_settings(),
+        "effects": effects,
         "launch": LaunchSettings,
         "timing": TimingSettings,
         "camera": CameraSettings,
@@ -98,7 +109,7 @@ def scene_file() -> type[Settings]:
     fields: dict[str, Any] = {k: (v, v()) for k, v in sections.items()}
     fields |= {k: (f.annotation, f) for k, f in ManyBodiesSettings.model_fields.items()}
     fields["groups"] = (Annotated[list[GroupSettings], Field(min_length=1, max_length=MAX_GROUPS)] | None, None)
-    fields["free_laws"] = (table_settings() | None, None)
+    fields["free_laws"] = (free_laws | None, None)
     return create_model(
         "Scene",
         __base__=Settings,
@@ -297,7 +308,9 @@ def _refuse_long_tables(loaded: dict[str, Any], where: str) -> None:
 
 
 def _validate(plain: dict[str, Any], where: str) -> dict[str, Any]:
-    settings = build_settings(plain, scene_file(), where).model_dump(exclude_none=True)
+    without = all(plain.get(key, {}) == {} for key in ("effects", "free_laws"))
+    kind = _scene_file_without_effects() if without else scene_file()
+    settings = build_settings(plain, kind, where).model_dump(exclude_none=True)
     if "launches" in settings or "groups" in settings:
         return settings
     for key in (k for k in ManyBodiesSettings.model_fields if k in plain):

@@ -4,10 +4,11 @@ import io
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 
 import synthcam
-from synthcam.dataset.parquet import encode_table
+from synthcam.dataset.parquet import build_array, encode_table
 from synthcam.scene import ground_truth
 from synthcam.scene.clip import list_track_columns
 
@@ -25,6 +26,17 @@ COLUMNS = {
 def test_each_kind_of_column_has_the_bytes_of_pandas(rows):
     columns = {name: column[:rows] for name, column in COLUMNS.items()}
     assert encode_table(columns) == pd.DataFrame(columns).to_parquet(index=False)
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+@pytest.mark.parametrize("null", [True, False])
+def test_each_column_is_the_array_that_arrow_makes_of_it(name, null):
+    column = COLUMNS[name]
+    arrow = pa.array(column, from_pandas=null)
+    built = build_array(column, arrow.type, nan_is_null=null)
+    built.validate(full=True)
+    assert built.null_count == arrow.null_count == (null and name == "x")
+    np.testing.assert_array_equal(built.to_numpy(zero_copy_only=False), arrow.to_numpy(zero_copy_only=False))
 
 
 def test_the_truth_of_a_clip_has_the_bytes_of_pandas():

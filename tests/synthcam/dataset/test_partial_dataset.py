@@ -138,7 +138,8 @@ def test_a_read_only_disk(scene, small_disk, run):
 
 LIMITED = """
 import os, resource, sys
-gone = "pyrender", "trimesh", "OpenGL", "synthcam.camera.render", "scipy.optimize", "scipy.integrate"
+gone = "pyrender", "trimesh", "OpenGL", "synthcam.camera.render", "scipy.optimize", "scipy.integrate", "scipy.fft"
+gone += "pandas", "synthcam.effects.hop"
 sys.modules.update(dict.fromkeys(gone))
 from synthcam.cli import main
 most = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -154,7 +155,7 @@ for room in (4000, most[0]):
 def test_files_that_may_not_grow_and_no_video_needs_no_opengl(scene, tmp_path):
     """Each clip is reported; without the limit the same command makes all.
 
-    The importers of OpenGL are out of reach, and what is slow to load and only cushions and discs need.
+    The importers of OpenGL are out of reach, and what is slow to load and only cushions, discs and tables need.
     """
     words = [sys.executable, "-c", LIMITED, *command(scene, "d", 3, "--workers", "1")[len(COMMAND) :]]
     said = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path)

@@ -22,10 +22,9 @@ os.environ.setdefault("LP_NUM_THREADS", "0")
 OPENGL_CHOICE = windowless.choose_opengl()
 _missing = ""
 try:
-    with warnings.catch_warnings(), windowless.without_viewer():
+    with warnings.catch_warnings(), windowless.without_viewer(), windowless.trimesh_later():
         warnings.simplefilter("ignore")
         import pyrender
-        import trimesh
         from OpenGL import GL
         from OpenGL.platform import PLATFORM
 except Exception as error:  # PyOpenGL raises whatever its loader happens to trip over
@@ -203,11 +202,16 @@ class Canvas:
             raise NoGL(_no_gl(" ".join(str(error).split()) or type(error).__name__)) from error
         self.is_software = "llvmpipe" in self.info["renderer"]
         self.info |= {"platform": os.environ["PYOPENGL_PLATFORM"], "why": OPENGL_CHOICE}
-        quad = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
-        room_for_jobs = np.zeros((MAX_BALLS_PER_CALL, 4, 4), np.float32)
+        quad = pyrender.Primitive(
+            positions=[[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]],
+            indices=[[0, 1, 2], [0, 2, 3]],
+            material=pyrender.MetallicRoughnessMaterial(),  # required, as a camera is; the shader ignores both
+            mode=pyrender.GLTF.TRIANGLES,
+            poses=np.zeros((MAX_BALLS_PER_CALL, 4, 4), np.float32),  # room for jobs
+        )
         self._scene = pyrender.Scene(bg_color=np.zeros(4))
-        self._scene.add(pyrender.Mesh.from_trimesh(quad, poses=room_for_jobs))
-        self._scene.add(pyrender.IntrinsicsCamera(1, 1, 0, 0))  # pyrender requires one; the shader ignores it
+        for each in (pyrender.Mesh([quad]), pyrender.IntrinsicsCamera(1, 1, 0, 0)):
+            self._scene.set_pose(self._scene.add(each), np.eye(4))
 
     def draw(self, batches: Sequence[BallBatch], size: tuple[int, int], uniforms: dict[str, Any]) -> Float32:
         """Draw all jobs; return the buffer (rows, columns) of that size. uniforms: of the shaders."""

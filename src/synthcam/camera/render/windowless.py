@@ -5,11 +5,13 @@ PyOpenGL reads PYOPENGL_PLATFORM when it is first imported: choose before.
 
 import ctypes
 import ctypes.util
+import importlib
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
+from typing import Any
 
 
 @contextmanager
@@ -26,6 +28,29 @@ def without_viewer() -> Iterator[None]:
         yield
     finally:
         del sys.modules[name]
+
+
+class _Later(ModuleType):
+    """Stands in for a module until something in it is asked for."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(importlib.import_module(self.__name__), name)
+
+
+@contextmanager
+def trimesh_later() -> Iterator[None]:
+    """Let pyrender be imported without trimesh, which takes .16 s to load; it is loaded if pyrender asks for it."""
+    if "trimesh" in sys.modules:
+        yield
+        return
+    stand_ins = {name: _Later(name) for name in ("trimesh", "trimesh.transformations")}
+    stand_ins["trimesh"].transformations = stand_ins["trimesh.transformations"]  # type: ignore[attr-defined]
+    sys.modules.update(stand_ins)
+    try:
+        yield
+    finally:
+        for name in stand_ins:
+            del sys.modules[name]
 
 
 def list_missing_packages() -> list[str]:

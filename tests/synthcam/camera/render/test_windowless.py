@@ -110,3 +110,17 @@ def test_what_the_user_asks_for_stands(monkeypatch, given):
     monkeypatch.setenv("EGL_DEVICE_ID", "0")
     assert "asked for" in windowless.choose_opengl()
     assert os.environ["PYOPENGL_PLATFORM"] == given
+
+
+def test_trimesh_is_loaded_when_pyrender_needs_it():
+    late = """
+import sys
+from synthcam.camera.render import gl_info
+import pyrender
+gl_info()  # draws with pyrender
+assert "trimesh" not in sys.modules and "trimesh.transformations" not in sys.modules
+import trimesh
+mesh = pyrender.Mesh.from_trimesh(trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
+print(pyrender.Node(mesh=mesh, rotation=[0, 0, 1, 0]).matrix.diagonal().tolist())  # half a turn about z
+"""
+    assert json.loads(run_python(late).stdout) == pytest.approx([-1, -1, 1, 1])
