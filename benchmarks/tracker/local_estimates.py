@@ -1,6 +1,6 @@
 """Coverage of the local estimate on simulated hits with known truth, one by one and as sets.
 
-python -m benchmarks.tracker.local_estimates [--hits 200] [--seed 1] [-o out/local_estimates.json]
+python -m benchmarks.tracker.local_estimates [--hits 200] [--seed 1] [--only KIND] [-o out/local_estimates.json]
 
 Hits are those of five kinds:
 
@@ -18,7 +18,8 @@ Hits are those of five kinds:
   10 % across it.
 
 With --warp W the positions are shifted by a smooth map of W m rms over 0.1 m, which no fit knows. With --claimed the
-tables have the true errors of positions; without it the errors come from the scatter.
+tables have the true errors of positions; without it the errors come from the scatter. With --mirrored each hit is
+measured again with the opposite errors. The mean of both deviations is the bias, since the noise itself cancels.
 
 For each quantity the table gives the number with an error, the rms of z = error / standard error, and the share within
 1 and 1.96 standard errors. It does so by the residuals alone, with the prior of one recording, and with errors fitted
@@ -161,20 +162,22 @@ KINDS: dict[str, tuple[Callable[..., tuple[list[Floats], dict[str, float], dict[
 }
 
 
-def measure_kind(kind: str, hits: int, seed: int, warp: float, claimed: bool = False) -> list[dict[str, Any]]:
+def measure_kind(
+    kind: str, hits: int, seed: int, warp: float, claimed: bool = False, sign: float = 1.0
+) -> list[dict[str, Any]]:
     """Measure hits of one kind: their rows with the truth as NAME_true."""
-    return [measure_one(kind, k, seed, warp, claimed) for k in range(hits)]
+    return [measure_one(kind, k, seed, warp, claimed, sign) for k in range(hits)]
 
 
-def measure_one(kind: str, k: int, seed: int, warp: float, claimed: bool = False) -> dict[str, Any]:
-    """Measure the hit of a number: its row with the truth as NAME_true."""
+def measure_one(kind: str, k: int, seed: int, warp: float, claimed: bool = False, sign: float = 1.0) -> dict[str, Any]:
+    """Measure the hit of a number: its row with the truth as NAME_true; sign: of the errors of positions."""
     draw, noise, support = KINDS[kind]
     waves, rng = np.random.default_rng(seed).normal(0, 10.0, (8, 2, 3)), np.random.default_rng([seed, k])
     paths, truth, camera = draw(rng)
     parts, origin = [], rng.uniform(-0.5, 0.5, 2)
     for ball, path in enumerate(paths):
         errors = err_like_codec(path, noise, rng) if "pucks" in kind else rng.normal(0, noise, path.shape)
-        x, y = (bend(path + origin, waves, warp) + errors).T
+        x, y = (bend(path + origin, waves, warp) + sign * errors).T
         part = pd.DataFrame({"frame": np.arange(len(path)), "particle": ball, "x": x, "y": y})
         said = noise / 5 if "pucks" in kind else noise
         parts.append(part.assign(x_std=said, y_std=said) if claimed else part)
@@ -195,6 +198,20 @@ def cover(rows: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
     return out
 
 
+def measure_bias(rows: Sequence[dict[str, Any]], mirrored: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
+    """For each quantity: number of hits, and the mean of both deviations over the mean error, with its error."""
+    out = {}
+    for name in QUANTITIES:
+        off, std = (
+            np.array([[row[f"{name}_local{end}"] for row in each] for each in (rows, mirrored)]) for end in ("", "_std")
+        )
+        z = (off.mean(axis=0) - [row[f"{name}_true"] for row in rows]) / std.mean(axis=0)
+        z = z[np.isfinite(z)]
+        if len(z):
+            out[name] = [len(z), round(float(z.mean()), 3), round(float(z.std() / np.sqrt(len(z))), 3)]
+    return out
+
+
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -202,15 +219,23 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--warp", type=float, default=0.0)
     parser.add_argument("--claimed", action="store_true")
+    parser.add_argument("--mirrored", action="store_true")
+    parser.add_argument("--only", choices=list(KINDS), action="append", help="only this kind; may be given again")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/local_estimates.json"))
     given, out = parser.parse_args(), {}
-    for kind in KINDS:
+    for kind in given.only or KINDS:
         rows = measure_kind(kind, given.hits, given.seed, given.warp, given.claimed)
         bare = [row | apply_errors(row, LocalErrors()) for row in rows]
         out[kind] = {"residuals": cover(bare), "prior": cover(rows), "set": cover(calibrate_set(rows))}
         for errors, table in out[kind].items():
             print(f"{kind}, {errors}: number, rms z, within 1 and 1.96 errors, median error")
             for name, line in table.items():
+                print(f"  {name:16}{line}", flush=True)
+        if given.mirrored:
+            other = measure_kind(kind, given.hits, given.seed, given.warp, given.claimed, sign=-1.0)
+            out[kind]["bias"] = measure_bias(bare, [row | apply_errors(row, LocalErrors()) for row in other])
+            print(f"{kind}, bias: number, mean deviation in errors, and its error")
+            for name, line in out[kind]["bias"].items():
                 print(f"  {name:16}{line}", flush=True)
     save(given.output, out)
 

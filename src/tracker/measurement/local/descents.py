@@ -199,6 +199,7 @@ class StretchStack(NamedTuple):
 
     stretches: Sequence[Stretch]
     time: Array  # (h, n) s
+    reach: Array  # (h, n) s, of means to either side; 0: single frames
     position: Array  # (h, n, 2) m
     root: Array | None  # (h, n, 2, 2) that whitens each position; None if errors of different positions correlate
 
@@ -216,7 +217,9 @@ class StretchStack(NamedTuple):
             np.stack([getattr(s, name)[rows] for s, rows in zip(stretches, filled, strict=True)])
             for name in ("time", "position")
         )
-        return StretchStack(stretches, time, position, root)
+        reaches = (np.zeros(len(s)) if s.reach is None else s.reach for s in stretches)
+        reach = np.stack([own[rows] for own, rows in zip(reaches, filled, strict=True)])
+        return StretchStack(stretches, time, reach, position, root)
 
     def whiten(self, errors: Array, hits: Ints) -> Array:
         """Whiten errors (m, k, n, 2) of problems of each of these hits (m,), in ascending order: (m, k, 2n)."""
@@ -253,7 +256,10 @@ class ProblemStack:
         self.present = np.concatenate(present, axis=1)  # (m, 2n) whether a coordinate is one of the problem
         self.parts = [_list_parameters(self.one, k) for k in range(len(self.sides))]
         self.groups = _group_stretches(self.one)
-        self.times = [_stack_times([self.sides[k].time for k in group]) for group in self.groups]  # (h, g, n) s
+        # (h, g, n) s; no reaches of single frames alone
+        self.times = [_stack_times([self.sides[k].time for k in group]) for group in self.groups]
+        reaches = (_stack_times([self.sides[k].reach for k in group]) for group in self.groups)
+        self.reaches = [reach if reach.any() else None for reach in reaches]
         self.spans = np.array([p.spans for p in problems])
         motions = list(enumerate(self.one.motions))
         self.taus = np.array([self.one.start[k] + 6 for k, motion in motions if motion.ends], dtype=np.int64)
@@ -316,8 +322,9 @@ class ProblemStack:
         Returns (m, 1 + size + 1, 2n) for each, in that order.
         """
         out, hits = dict[int, Array](), self.hit[which]
-        for group, time in zip(self.groups, self.times, strict=True):
-            path, slope = self._evaluate_paths(x, which, group, time[hits])
+        for group, time, reach in zip(self.groups, self.times, self.reaches, strict=True):
+            means_over = None if reach is None else reach[hits]
+            path, slope = self._evaluate_paths(x, which, group, time[hits], means_over)
             for number, k in enumerate(group):
                 side = self.sides[k]
                 n = side.time.shape[1]
@@ -327,14 +334,18 @@ class ProblemStack:
                 out[k] = white
         return [out[k] for k in range(len(self.sides))]
 
-    def _evaluate_paths(self, x: Array, which: Ints, group: Sequence[int], time: Array) -> tuple[Array, Array]:
+    def _evaluate_paths(
+        self, x: Array, which: Ints, group: Sequence[int], time: Array, reach: Array | None
+    ) -> tuple[Array, Array]:
         """Paths (m, g, n, 2) of stretches of one motion at times (m, g, n), s, and derivatives (m, g, size + 1, n, 2).
 
-        At once, because most of the time is that of numpy's calls.
+        reach (m, g, n): means over so much time to either side, s. All at once, because most of the time is that of
+        numpy's calls.
         """
         one, span = self.one, self.spans[which][:, group]
         own = np.stack([one.values(x, k, span[:, number]) for number, k in enumerate(group)], axis=1)
-        path, slope = evaluate_path(one.motions[group[0]], own, time - x[:, :1, None], one.stretches[group[0]].after)
+        since, after = time - x[:, :1, None], one.stretches[group[0]].after
+        path, slope = evaluate_path(one.motions[group[0]], own, since, after, reach)
         if one.slides_first(group[0]):
             lasts = np.exp(own[..., 6])
             tau, by_v = np.minimum(lasts, span)[..., None, None, None], slope[:, :, 2:4].copy()

@@ -27,7 +27,9 @@ from tracker.measurement.local.stretches import (
     SLIDE_AND_ROLL,
     SLIDE_AND_STOP,
     MotionKind,
+    Overrun,
     Stretch,
+    average_curve,
 )
 
 BEFORE = (ROLL,), (ROLL, SLIDE_AND_ROLL, SLIDE)  # motions of ball 1 and ball 2, which strikes, before the contact
@@ -85,12 +87,13 @@ def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Array)
     since = stretch.time - contact
     weight = 1 / stretch.std
     ahead = np.abs(since)
-    far = np.maximum(ahead - taus[:, None], 0.0) ** 2 / 2 if motion.ends else np.zeros((1, len(since)))
-    curve = far if motion.ends and not stretch.after else ahead**2 / 2 - far
+    whole = average_curve(ahead, stretch.reach)
+    far = Overrun.of(ahead - taus[:, None], stretch.reach).late_curve if motion.ends else np.zeros((1, len(since)))
+    curve = far if motion.ends and not stretch.after else whole - far
     columns = [np.ones_like(curve)]
     if motion.stops:
-        until = np.minimum(since, taus[:, None])
-        columns = [np.ones_like(until), until - until**2 / (2 * taus[:, None])]
+        _, late, late_curve = Overrun.of(since - taus[:, None], stretch.reach)
+        columns = [np.ones_like(late), since - (whole - late_curve) / taus[:, None]]
     elif motion.moves:
         columns.append(np.broadcast_to(since, curve.shape))
     widths = [0.0] * len(columns)
@@ -98,7 +101,7 @@ def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Array)
         columns.append(curve)
         widths.append(2.0)  # m/s^2
     if motion.rolls:
-        columns.append(ahead**2 / 2 - curve if motion.pushed else ahead**2 / 2 + 0 * far)
+        columns.append(whole - curve if motion.pushed else whole + 0 * far)
         widths.append(0.1)  # m/s^2
     basis = np.stack(columns, -1) * weight[:, None]
     square = np.swapaxes(basis, 1, 2) @ basis
@@ -274,10 +277,12 @@ def bound_chi2_of_dry_slide(stretch: Stretch) -> float:
     middle = (first + n) // 2
     if stretch.near[first:].any() or middle - first < 4:
         return 0.0
-    since = (stretch.time - stretch.time[-1]) / max(float(np.ptp(stretch.time)), 1e-12)
+    span = max(float(np.ptp(stretch.time)), 1e-12)
+    since = (stretch.time - stretch.time[-1]) / span
+    curve = average_curve(since, None if stretch.reach is None else stretch.reach / span)
     white = stretch.whiten(np.eye(2 * n).reshape(2 * n, n, 2)).T  # the matrix that whitens
     seen = stretch.whiten(stretch.position - stretch.position[-1])
-    parabola = np.kron(np.column_stack([np.ones(n), since, since**2]), np.eye(2))
+    parabola = np.kron(np.column_stack([np.ones(n), since, curve]), np.eye(2))
     rests = np.kron((np.arange(n) >= middle)[:, None], np.eye(2))
     least = np.inf
     for rows, path, anywhere in (

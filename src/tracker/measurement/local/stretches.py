@@ -9,6 +9,9 @@ and straight from there on, and H = s^2/2 - G:
 
 Without tau the acceleration lasts for the whole stretch. Pucks on air move so, and balls that slide all along. On a dry
 plate a body slides until it stops, and then rests.
+
+Far from the contact, positions are means of several frames. The mean of a curve lies inside it, by a sixth of the
+acceleration times the square of half the mean's time. So a path is averaged over the same time.
 """
 
 from __future__ import annotations
@@ -43,6 +46,7 @@ class Stretch:
     count: Ints  # (n,) frames of which each position is the mean
     width: float = 0.0  # as of a `BallTrack`, and so are `drifts`
     drifts: tuple[tuple[float, float], ...] = ()
+    reach: Array | None = None  # (n,) s, of each mean to either side, as of an even density; none: single frames
 
     def __len__(self) -> int:
         return len(self.time)
@@ -69,7 +73,7 @@ class Stretch:
 
     def where(self, rows: Flags) -> Stretch:
         """The same stretch, only those rows."""
-        names = ("time", "position", "cov", "fixed", "near", "count")
+        names = ("time", "position", "cov", "fixed", "near", "count", *(() if self.reach is None else ("reach",)))
         return self if rows.all() else replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
@@ -145,6 +149,7 @@ def _append_rest(whole: Stretch, track: BallTrack, rest: Ints) -> Stretch:
         fixed=np.concatenate([whole.fixed, track.fixed[rest].mean(axis=0, keepdims=True)]),
         near=np.append(whole.near, False),
         count=np.append(whole.count, 1),
+        reach=None if whole.reach is None else np.append(whole.reach, 0.0),
     )
 
 
@@ -167,6 +172,7 @@ def _average(whole: Stretch, group: Ints) -> Stretch:
         return np.asarray((np.stack(sums, axis=-1) / count[:, None]).reshape(len(count), *values.shape[1:]))
 
     position, time = mean(whole.position), mean(whole.time)
+    reach = np.sqrt(3 * mean((whole.time - time[group]) ** 2))
     lasting = sum(size**2 for size, _ in whole.drifts) * np.eye(2)  # a drift lasts over a longer way than a group
     shares = 1 / count
     if whole.fixed.any() and whole.width > 0:
@@ -178,7 +184,8 @@ def _average(whole: Stretch, group: Ints) -> Stretch:
     fixed = (mean(whole.fixed) - lasting) * shares[:, None, None] + lasting
     own = mean(whole.cov - whole.fixed) / count[:, None, None]
     near = mean(whole.near.astype(np.float64)) > 0.5
-    return replace(whole, time=time, position=position, cov=own + fixed, fixed=fixed, near=near, count=count)
+    cov = own + fixed
+    return replace(whole, time=time, position=position, cov=cov, fixed=fixed, near=near, count=count, reach=reach)
 
 
 def _keep_free_motion(
@@ -253,9 +260,37 @@ def _end_at_stop(track: BallTrack, rows: Ints, noise: float) -> Ints:
     return rows[: last + 1] if speed * float(time[-1] - time[last]) > far * limit else rows
 
 
-def evaluate_path(motion: MotionKind, values: Array, since: Array, after: bool) -> tuple[Array, Array]:
+class Overrun(NamedTuple):
+    """Means of the time by which positions are past an instant, zero before it."""
+
+    share: Array  # of the mean past the instant
+    late: Array  # s
+    late_curve: Array  # s^2, half the square
+
+    @staticmethod
+    def of(past: Array, reach: Array | None) -> Overrun:
+        """Average times past an instant, negative before it, evenly over `reach` to either side; none: single times."""
+        if reach is None:
+            late = np.maximum(past, 0.0)
+            return Overrun((past > 0).astype(np.float64), late, late**2 / 2)
+        reach = np.maximum(reach, 1e-12)
+        part = np.clip(past, -reach, reach) + reach  # of the mean past the instant, s
+        whole = np.maximum(past - reach, 0.0)
+        share = part / (2 * reach)
+        return Overrun(share, whole + part * share / 2, whole * (past + reach) / 2 + part**2 * share / 6)
+
+
+def average_curve(since: Array, reach: Array | None) -> Array:
+    """Average half the square of times evenly over `reach` to either side."""
+    return np.asarray(since**2 / 2 if reach is None else (since**2 + reach**2 / 3) / 2)
+
+
+def evaluate_path(
+    motion: MotionKind, values: Array, since: Array, after: bool, reach: Array | None = None
+) -> tuple[Array, Array]:
     """Evaluate the paths of a stretch at times (..., n) since the contact, for values (..., size) of its parameters.
 
+    reach (..., n): means over so much time to either side, as of a `Stretch`.
     Returns positions (..., n, 2) and derivatives (..., size + 1, n, 2); the last is that by the instant of the contact.
     """
     values = values[..., None]  # to be multiplied by times
@@ -266,22 +301,23 @@ def evaluate_path(motion: MotionKind, values: Array, since: Array, after: bool) 
     if not motion.moves:
         return path, slope
     if motion.stops and after:
-        return _evaluate_stop(values, since, path, slope)
+        return _evaluate_stop(values, since, reach, path, slope)
     v, at, sign = values[..., None, 2:4, 0], 4, 1.0 if after else -1.0
     a = np.zeros(2)
     slope[..., 2, :, 0] = slope[..., 3, :, 1] = since
     slope[..., -1, :, :] = -v
     path += since[..., None] * v
     ahead = np.abs(since)
-    late, curve = 0 * ahead, ahead**2 / 2
+    late, curve = 0 * ahead, average_curve(ahead, reach)
     free = curve
     tau, k_tau = 0.0 * values[..., 0, :], -1
     if motion.pushed:
         a, at = values[..., None, 4:6, 0], 6
         if motion.ends:
             tau, k_tau, at = np.exp(values[..., 6, :]), 6, 7
-            late = np.maximum(ahead - tau, 0.0)
-        far = late**2 / 2
+            _, late, far = Overrun.of(ahead - tau, reach)
+        else:
+            far = late
         curve, free = (curve - far, far) if after or not motion.ends else (far, curve - far)
         path += curve[..., None] * a
         slope[..., 4, :, 0] = slope[..., 5, :, 1] = curve
@@ -308,7 +344,7 @@ def evaluate_path(motion: MotionKind, values: Array, since: Array, after: bool) 
     return path, slope
 
 
-def _evaluate_stop(values: Array, since: Array, path: Array, slope: Array) -> tuple[Array, Array]:
+def _evaluate_stop(values: Array, since: Array, reach: Array | None, path: Array, slope: Array) -> tuple[Array, Array]:
     """Evaluate the path of a body that slides until its speed is least, and rests from then on.
 
     values (..., 6, 1), and the arrays that `evaluate_path` returns, to which the motion is added.
@@ -316,14 +352,15 @@ def _evaluate_stop(values: Array, since: Array, path: Array, slope: Array) -> tu
     v, a = values[..., None, 2:4, 0], values[..., None, 4:6, 0]
     speed_2, slows = (v * v).sum(axis=-1), np.minimum((a * v).sum(axis=-1), -1e-12)
     lasts = -speed_2 / slows
-    s, rests = np.minimum(since, lasts)[..., None], (since > lasts)[..., None]
-    path += s * v + s**2 / 2 * a
-    end = np.where(rests, v + s * a, 0.0)  # the velocity at which it stops: that across its first one
+    rests, late, late_curve = Overrun.of(since - lasts, reach)
+    s, curve = since - late, average_curve(since, reach) - lasts * late - late_curve
+    path += s[..., None] * v + curve[..., None] * a
+    end = rests[..., None] * (v + lasts[..., None] * a)  # the velocity at which it stops: that across its first one
     by_v = (-2 * v * slows[..., None] + speed_2[..., None] * a) / slows[..., None] ** 2
     by_a = speed_2[..., None] * v / slows[..., None] ** 2
     for axis in (0, 1):
-        slope[..., 2 + axis, :, axis], slope[..., 4 + axis, :, axis] = s[..., 0], s[..., 0] ** 2 / 2
+        slope[..., 2 + axis, :, axis], slope[..., 4 + axis, :, axis] = s, curve
         slope[..., 2 + axis, :, :] += by_v[..., axis, None] * end
         slope[..., 4 + axis, :, :] += by_a[..., axis, None] * end
-    slope[..., -1, :, :] = np.where(rests, 0.0, -(v + s * a))
+    slope[..., -1, :, :] = -(1 - rests)[..., None] * v - (s - lasts * rests)[..., None] * a
     return path, slope

@@ -26,20 +26,49 @@ VALUES = {
 }
 
 
+@pytest.mark.parametrize("half_s", [None, 0.04])
 @pytest.mark.parametrize("after", [False, True])
 @pytest.mark.parametrize("motion", VALUES)
-def test_derivatives_are_those_of_differences(motion, after):
+def test_derivatives_are_those_of_differences(motion, after, half_s):
     since = np.linspace(0.013, 0.4, 7) * (1 if after else -1)
     values, step = np.array(VALUES[motion]), 1e-6
-    slope = evaluate_path(motion, values, since, after)[1]
+    reach = None if half_s is None else np.minimum(half_s, np.abs(since))
+    slope = evaluate_path(motion, values, since, after, reach)[1]
     moves = [*(np.eye(motion.size) * step), np.zeros(motion.size)]
     for k, move in enumerate(moves):
         late = step * (k == motion.size)  # the instant of the contact
-        high, low = (evaluate_path(motion, values + sign * move, since - sign * late, after)[0] for sign in (1, -1))
+        high, low = (
+            evaluate_path(motion, values + sign * move, since - sign * late, after, reach)[0] for sign in (1, -1)
+        )
         assert slope[k] == pytest.approx((high - low) / (2 * step), abs=1e-7)
-    both = evaluate_path(motion, np.stack([0.9 * values, values]), np.stack([since + 0.01, since]), after)
-    np.testing.assert_array_equal(both[0][1], evaluate_path(motion, values, since, after)[0])
+    both = evaluate_path(motion, np.stack([0.9 * values, values]), np.stack([since + 0.01, since]), after, reach)
+    np.testing.assert_array_equal(both[0][1], evaluate_path(motion, values, since, after, reach)[0])
     np.testing.assert_array_equal(both[1][1], slope)
+
+
+@pytest.mark.parametrize("after", [False, True])
+@pytest.mark.parametrize("motion", VALUES)
+def test_a_path_of_means_is_the_mean_of_the_path(motion, after):
+    """Some of the means hold the end of a slide, or the stop of a body."""
+    since, half_s = np.linspace(0.03, 0.4, 23) * (1 if after else -1), 0.025
+    values, shifts = np.array(VALUES[motion]), (np.arange(2000) + 0.5) / 1000 - 1
+    path = evaluate_path(motion, values, since, after, np.full(23, half_s))[0]
+    single = [evaluate_path(motion, values, since + half_s * shift, after)[0] for shift in shifts]
+    assert path == pytest.approx(np.mean(single, axis=0), abs=1e-9)
+
+
+@pytest.mark.parametrize("after", [False, True])
+def test_averaged_positions_of_a_parabola_lie_on_its_path(after):
+    """Some frames are missing. Every mean lies inside the curve, by up to 1e-5 m."""
+    rows = np.delete(np.arange(400), [60, 130, 131, 132, 300])
+    time = rows / 1000.0
+    contact = (time[0] - 1e-3) if after else (time[-1] + 1e-3)
+    values = np.array([0.1, 0.2, 0.5, -0.3, -1.2, 0.6])
+    position = evaluate_path(SLIDE, values, time - contact, after)[0]
+    track = BallTrack(1, rows, time, position, np.tile(np.eye(2) * 1e-12, (len(rows), 1, 1)), exposure=0.0)
+    stretch = cut_stretch(track, 1, after, 1.0, (contact, contact), 1e-3)
+    path = evaluate_path(SLIDE, values, stretch.time - contact, after, stretch.reach)[0]
+    assert stretch.position == pytest.approx(path, abs=1e-12)
 
 
 def test_a_slide_ends_at_the_velocity_that_friction_leaves():
