@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -100,63 +100,104 @@ def fit_scatter(
     way = float(np.median([np.hypot(*np.ptp(clip.xy, axis=0)) for clip in bare]))
     noise_m = noise.scale * float(np.median(np.concatenate([clip.claimed_std() for clip in bare])))
     on_air = not fit.model.sliding_friction
-    start = {"displacement_m": noise_m, "reach_m": 0.2 * way}
-    if on_air:
-        lasts = np.array([np.ptp(clip.frame) / clip.fps for clip in bare])
-        size = [np.std(c[..., -1]) * np.mean(clip.claimed_std()) for c, clip in zip(left.columns, bare, strict=True)]
-        push = float(np.median(RESIDUAL_TO_PUSH * np.array(size) / lasts**2))
-        start |= {"loss_m_s2": push, "across_m_s2": push, "lasts_s": float(np.median(lasts)) / 2}
-        start |= {"displacement_m": 0.5 * noise_m, "reach_m": 0.06 * way}  # over more, they are like accelerations
-        speed = float(np.median(np.concatenate([move.speeds for move in moves if isinstance(move, _AirMoves)])))
-    else:
-        speed = float(np.median(np.abs(fit.launches[:, V0])))
-        loss = 0.2 * max(float(fit.model.rolling_decel + fit.model.rolling_drag * speed), 1e-3)
-        start |= {"friction": 0.05, "loss_m_s2": loss}
-
-    def build(names: Sequence[str], x: Array, speed_power: int) -> StretchScatter:
-        logs = dict(zip(names, np.clip(x, -MAX_LOG_GROWTH, MAX_LOG_GROWTH).tolist(), strict=True))
-        values = {name: start[name] * float(np.exp(log)) for name, log in logs.items()}
-        unlimited = tuple(n for n in ("friction", "loss_m_s2", "across_m_s2") if logs.get(n, 0.0) == MAX_LOG_GROWTH)
-        if "displacement_m" in names:
-            values["displacement_m"] = min(values["displacement_m"], max_to_noise * noise_m)
-            values["reach_m"] = min(max(values["reach_m"], 0.02 * way), 0.5 * way)
-        speed_m_s = speed if on_air else 0.0
-        return StretchScatter(**values, speed_power=speed_power, speed_m_s=speed_m_s, unlimited=unlimited)
-
-    def cost(scatter: StretchScatter) -> float:
-        return replace(left, clips=_add_scatter(bare, moves, scatter)).cost(noise)
-
-    def minimise(names: Sequence[str], x: Array, speed_power: int = 0) -> tuple[float, Array, StretchScatter]:
-        def price(x: Array) -> float:
-            return cost(build(names, x, speed_power))
-
-        x = minimise_cost(price, np.pad(x, (0, len(names) - len(x))))
-        return finite_cost(price, x), x, build(names, x, speed_power)
-
+    start, speed = _start_on_air(left, moves, way, noise_m) if on_air else (_start_on_plate(fit, way, noise_m), 0.0)
+    reaches = 0.02 * way, 0.5 * way
+    likelihood = _ScatterLikelihood(left, moves, noise, start, max_to_noise * noise_m, reaches, speed)
     least_gain = current_policy().min_noise_gain
-    if on_air:
-        paid, x, found = minimise(ON_AIR, np.zeros(0))
-        for power in SPEED_POWERS[1:]:
-            grown = minimise(ON_AIR, x, power)
-            if not grown[0] < paid:
-                break
-            paid, x, found = grown
-        displaced = minimise([*ON_AIR, *DISPLACED], x, found.speed_power)
-        if displaced[0] < paid - least_gain:
-            paid, x, found = displaced
-    else:
-        paid, x, found = minimise([*ON_PLATE, *DISPLACED], np.zeros(0))
-    if cost(NO_SCATTER) - paid < least_gain + 2 * (len(x) - 1):
+    best = likelihood.maximise_on_air(least_gain) if on_air else likelihood.maximise([*ON_PLATE, *DISPLACED])
+    if likelihood.cost(NO_SCATTER) - best.cost < least_gain + 2 * (len(best.x) - 1):
         return NO_SCATTER
-    sizes = [n for n in ("friction", "loss_m_s2", "across_m_s2", "displacement_m") if n in start]
-    silent: dict[str, Any] = {n: 0.0 for n in sizes if getattr(found, n) < 0.02 * start[n]}
-    found = replace(found, **silent)
+    found = likelihood.drop_negligible(best.scatter)
     if not found.displacement_m:
         return found
     some = _choose_evenly([len(clip.frame) for clip in bare], max_positions)
     columns = [RestrictedResiduals.of(clips, fit, noise, [indices[k]]).columns[0] for k in some]
     chosen, pushed = [bare[k] for k in some], [moves[k] for k in some]
     return replace(found, map_log_ratio=_compare_with_map(chosen, columns, pushed, found, noise))
+
+
+Start = dict[str, float]  # sizes by name, from which a fit of the scatter starts
+
+
+def _start_on_plate(fit: ModelFit, way: float, noise_m: float) -> Start:
+    """Guess the scatter on a plate; way: the median length of a path, m."""
+    speed = float(np.median(np.abs(fit.launches[:, V0])))
+    loss = 0.2 * max(float(fit.model.rolling_decel + fit.model.rolling_drag * speed), 1e-3)
+    return {"displacement_m": noise_m, "reach_m": 0.2 * way, "friction": 0.05, "loss_m_s2": loss}
+
+
+def _start_on_air(left: RestrictedResiduals, moves: Sequence[Moves], way: float, noise_m: float) -> tuple[Start, float]:
+    """Guess the scatter on air, and the median speed, m/s; way: the median length of a path, m."""
+    lasts = np.array([np.ptp(clip.frame) / clip.fps for clip in left.clips])
+    both = zip(left.columns, left.clips, strict=True)
+    size = np.array([np.std(columns[..., -1]) * np.mean(clip.claimed_std()) for columns, clip in both])
+    push = float(np.median(RESIDUAL_TO_PUSH * size / lasts**2))
+    start = {"loss_m_s2": push, "across_m_s2": push, "lasts_s": float(np.median(lasts)) / 2}
+    start |= {"displacement_m": 0.5 * noise_m, "reach_m": 0.06 * way}  # over more, they are like accelerations
+    return start, float(np.median(np.concatenate([move.speeds for move in moves if isinstance(move, _AirMoves)])))
+
+
+class _ScatterFit(NamedTuple):
+    """The most likely scatter of some sizes."""
+
+    cost: float  # -2 log likelihood
+    x: Array  # logarithms of the sizes over those of the start
+    scatter: StretchScatter
+
+
+@dataclass(frozen=True)
+class _ScatterLikelihood:
+    """The restricted likelihood of a scatter by the residuals of stretches."""
+
+    left: RestrictedResiduals
+    moves: Sequence[Moves]
+    noise: Noise
+    start: Start
+    max_displacement_m: float
+    reaches_m: tuple[float, float]  # the shortest and the longest
+    speed_m_s: float  # the median on air; 0 on a plate
+
+    def cost(self, scatter: StretchScatter) -> float:
+        """-2 log likelihood."""
+        return replace(self.left, clips=_add_scatter(self.left.clips, self.moves, scatter)).cost(self.noise)
+
+    def maximise(self, names: Sequence[str], x: Array | None = None, speed_power: int = 0) -> _ScatterFit:
+        """Find the most likely sizes of these names; x: where to start the first of them."""
+
+        def price(x: Array) -> float:
+            return self.cost(self._build(names, x, speed_power))
+
+        x = np.zeros(0) if x is None else x
+        x = minimise_cost(price, np.pad(x, (0, len(names) - len(x))))
+        return _ScatterFit(finite_cost(price, x), x, self._build(names, x, speed_power))
+
+    def maximise_on_air(self, least_gain: float) -> _ScatterFit:
+        """Find the most likely accelerations with their power of the speed, and displacements if they gain enough."""
+        best = self.maximise(ON_AIR)
+        for power in SPEED_POWERS[1:]:
+            grown = self.maximise(ON_AIR, best.x, power)
+            if not grown.cost < best.cost:
+                break
+            best = grown
+        displaced = self.maximise([*ON_AIR, *DISPLACED], best.x, best.scatter.speed_power)
+        return displaced if displaced.cost < best.cost - least_gain else best
+
+    def drop_negligible(self, scatter: StretchScatter) -> StretchScatter:
+        """The same scatter without sizes that are far below those of the start."""
+        sizes = [n for n in ("friction", "loss_m_s2", "across_m_s2", "displacement_m") if n in self.start]
+        silent: dict[str, Any] = {n: 0.0 for n in sizes if getattr(scatter, n) < 0.02 * self.start[n]}
+        return replace(scatter, **silent)
+
+    def _build(self, names: Sequence[str], x: Array, speed_power: int) -> StretchScatter:
+        """The scatter with these logarithms of sizes over those of the start."""
+        logs = dict(zip(names, np.clip(x, -MAX_LOG_GROWTH, MAX_LOG_GROWTH).tolist(), strict=True))
+        values = {name: self.start[name] * float(np.exp(log)) for name, log in logs.items()}
+        unlimited = tuple(n for n in ("friction", "loss_m_s2", "across_m_s2") if logs.get(n, 0.0) == MAX_LOG_GROWTH)
+        if "displacement_m" in names:
+            shortest, longest = self.reaches_m
+            values["displacement_m"] = min(values["displacement_m"], self.max_displacement_m)
+            values["reach_m"] = min(max(values["reach_m"], shortest), longest)
+        return StretchScatter(**values, speed_power=speed_power, speed_m_s=self.speed_m_s, unlimited=unlimited)
 
 
 def _choose_evenly(sizes: Sequence[int], most: int) -> list[int]:
