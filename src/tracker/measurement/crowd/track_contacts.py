@@ -83,6 +83,13 @@ class _Film:
                 if np.isfinite(slip).all():
                     self.slides.setdefault(ball, []).append((contact.time, slip))
 
+    def note_events(self, balls: dict[int, BallTrack], kinks: dict[int, Array], found: Sequence[TrackContact]) -> None:
+        """Keep the contacts of each ball, and its kinks that are far from these; kinks: their frames."""
+        self.events = {}
+        for n, ball in balls.items():
+            own, free = _list_events(ball, kinks[n], found, self.settings.same_frames)
+            self.events[n] = [*own, *free]
+
     def cut(self, ball: int, frame: float, away: float) -> ConsecutivePositions:
         """The positions of a ball about a frame, up to its next event on either side.
 
@@ -128,32 +135,58 @@ def find_track_contacts(balls: Sequence[BallTrack], diameter: float, *, glides: 
         for one, other in find_near_pairs(list(balls), diameter, 1.0)
         for frame in _find_approaches(one, other, diameter, settings)
     ]
+    numbers = dict[tuple[int, int], list[int]]()  # of the approaches of each pair
+    for k, (a, b, _) in enumerate(pairs):
+        numbers.setdefault((a.particle, b.particle), []).append(k)
     events = {n: [*at.tolist(), *(f for a, b, f in pairs if n in (a.particle, b.particle))] for n, at in kinks.items()}
     rows = {n: ConsecutivePositions(n, b.frame, b.time, b.position, b.variance) for n, b in by_number.items()}
     steps = [np.diff(ball.time) / np.diff(ball.frame) for ball in balls if len(ball) > 1]
     frame_s = float(np.median(np.concatenate(steps))) if steps else np.nan
     film = _Film(rows, balls[0].exposure if balls else 0.0, frame_s, diameter, settings, events)
-    found = list[TrackContact]()
+    found, bounces = list[TrackContact](), dict[int, Array]()
     for turn in range(settings.turns):  # each with better instants of the contacts before and after
         away = settings.other_frames if turn else settings.vague_frames
         tried = _examine([((one.particle, other.particle), frame) for one, other, frame in pairs], away, film)
         earlier, found = found, _choose(tried, [], film)
         known = [*found, *_choose(earlier, found, film)]  # two contacts of a ball may hide one another in turn
-        happened = {n: _list_events(by_number[n], kinks[n], known, settings.vague_frames) for n in kinks}
-        film.events = {n: [*own, *free] for n, (own, free) in happened.items()}
+        film.note_events(by_number, kinks, known)
         if settings.friction and film.settings.curvature > settings.known_curvature and turn < settings.turns - 1:
             film.settings = _fit_friction(found, by_number, film)
         film.note_slides(found)
-        times = {(c.one, c.other): c.time for c in found}
-        for k, (one, other, frame) in enumerate(pairs):
-            at = float(np.interp(times.get((one.particle, other.particle), np.nan), one.time, one.frame))
-            if abs(at - frame) < settings.vague_frames:
-                pairs[k] = one, other, at
-    walls = list[tuple[tuple[int, ...], float]]()
+        bounces = _find_slow_bounces(by_number, film, noise)
+        film.note_events(by_number, {n: np.append(at, bounces[n]) for n, at in kinks.items()}, known)
+        for contact in known:  # a pair may hit twice within a few frames
+            one = by_number[contact.one]
+            at = float(np.interp(contact.time, one.time, one.frame))
+            nearest = min(numbers[contact.one, contact.other], key=lambda k: abs(pairs[k][2] - at))
+            pairs[nearest] = *pairs[nearest][:2], at
+    found, walls = list(known), list[tuple[tuple[int, ...], float]]()
     for n, ball in by_number.items():
-        walls += [((n,), frame) for frame in _list_events(ball, kinks[n], found, settings.same_frames)[1]]
+        every = np.append(kinks[n], bounces[n])
+        walls += [((n,), frame) for frame in _list_events(ball, every, found, settings.same_frames)[1]]
     found += _examine(walls, settings.other_frames, film)
     return _widen_errors(_find_partners(found, balls, film), film)
+
+
+def _find_slow_bounces(balls: dict[int, BallTrack], film: _Film, noise: float) -> dict[int, Array]:
+    """Find the frames, with halves, at which each ball may bounce more slowly than friction could brake it.
+
+    Friction does not turn a ball back within a frame. So a kink that is too small for a candidate counts if the ball
+    moves against the kick before it, and with it afterwards.
+    """
+    cutter, candidates = replace(CUTTER, max_acceleration=0.0), list[tuple[tuple[int, ...], float]]()
+    for n, ball in balls.items():
+        bends = cutter.find_kinks(ball.time, cutter.measure_kinks(ball.time, ball.position, noise))
+        frames, known = np.interp(bends, ball.time, ball.frame), np.array(film.events[n])
+        far = np.abs(frames[:, None] - known).min(axis=1, initial=np.inf) > film.settings.same_frames
+        candidates += [((n,), frame) for frame in frames[far].tolist()]
+    out = dict[int, list[float]]()
+    for contact in _examine(candidates, film.settings.other_frames, film):
+        speeds = -contact.surface_speed, contact.kick + contact.surface_speed
+        if min(speeds) > film.settings.least_impulse_sigma * contact.kick_std:
+            ball = balls[contact.one]
+            out.setdefault(contact.one, []).append(float(np.interp(contact.time, ball.time, ball.frame)))
+    return {n: np.array(out.get(n, [])) for n in balls}
 
 
 def _choose(tried: Sequence[TrackContact], known: Sequence[TrackContact], film: _Film) -> list[TrackContact]:

@@ -20,7 +20,7 @@ from tracker.measurement.crowd.crowd_rows import _estimate_in_steps, estimate_co
 from tracker.measurement.crowd.track_contacts import find_track_contacts
 from tracker.measurement.local.descents import run_alone
 from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate
-from tracker.measurement.positions import to_ball_tracks
+from tracker.measurement.positions import BallTrack, to_ball_tracks
 from tracker.settings import FitSettings
 from tracker.tables.read import to_pixels
 from tracker.tables.table import TrackTable
@@ -317,6 +317,56 @@ def test_contacts_of_one_ball_that_hide_one_another_in_turn_are_all_found():
     for other in (18, 5, 10, 9):
         assert {29, other} in found, other
     assert {5} not in found
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "braked"), [(0.012, -0.0096, 0.0), (0.012, 0.0024, 0.0), (0.05, -0.05, 2.0)]
+)
+def test_only_a_bounce_turns_a_slow_ball_back_at_once(before, after, braked):
+    """0.8 of 12 mm/s back at a wall; a loss of speed without a turn; a ball with backspin that friction turns back.
+
+    The change of the first two is less than friction makes within three frames. A fast ball shows the noise.
+    """
+    fps, noise, at, rng = 250.0, 5e-6, 0.1003, np.random.default_rng(2)
+    t, frame = np.arange(60) / fps, np.arange(60)
+    since, lasts = np.maximum(t - at, 0), (before - after) / braked if braked else 0.0
+    slid = np.clip(t - at + lasts / 2, 0, lasts) if braked else since
+    bent = np.minimum(t, at) * before + since * after
+    if braked:  # the same velocity before and after, and a deceleration between
+        bent = before * t - braked * slid**2 / 2 - (before - after) * np.maximum(t - at - lasts / 2, 0)
+    balls = [
+        BallTrack(
+            particle=k,
+            frame=frame,
+            start=t,
+            position=np.column_stack([x, 0.1 * k + 0 * t]) + noise * rng.standard_normal((60, 2)),
+            cov=np.broadcast_to(np.eye(2) * noise**2, (60, 2, 2)),
+            exposure=0.0,
+        )
+        for k, x in enumerate([bent, 0.2 * t])
+    ]
+    found = find_track_contacts(balls, 0.002, glides=True)
+    if after < 0 and not braked:
+        [bounce] = found
+        assert bounce.balls == (0,)
+        assert abs(bounce.time - at) < 3 * bounce.time_std < 0.003
+        assert abs(bounce.kick - (before - after)) < 3 * bounce.kick_std
+    else:
+        assert not found
+
+
+def test_two_hits_of_the_same_balls_within_three_frames_are_both_found():
+    """Balls 37 and 74 hit at frames 8.6 and 11.5."""
+    clip = synthcam.Scene.read("cooling", timing={"frames": 20}).draw(seed=4)
+    events = clip.solve().events
+    own = (events["kind"] == "contact") & events["i"].isin([37, 74]) & events["j"].isin([37, 74])
+    read = to_pixels(TrackTable(add_noise(clip, NOISE_PX, 4)), "truth", clip.camera_json)
+    balls = to_ball_tracks(read.clips[0][0], read.camera)
+    found = find_track_contacts(balls, read.camera.ball_diameter)
+    times = sorted(c.time for c in found if set(c.balls) == {37, 74})
+    true = events["t_s"][own & (events["t_s"] < 19 / 250)].to_numpy()
+    assert len(true) == 2
+    np.testing.assert_allclose(times, true, atol=1e-3)
 
 
 def test_errors_of_derived_values_are_those_of_draws():
