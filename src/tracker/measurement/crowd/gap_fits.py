@@ -312,6 +312,7 @@ def fit_gaps(gaps: ContactGaps, settings: ContactFinderSettings, diameter: float
     exposed = np.minimum(at - gaps.low, gaps.high - at) < exposure / 2  # a frame shows both paths
     when = np.broadcast_to(at[:, None], both.shape)
     (v_before, var_before), (v_after, var_after) = before.velocity(when), after.velocity(when)
+    bend = np.maximum(bend, 2 * excess / (gaps.high - gaps.low) ** 2)  # the instant lies in the gap
     std = np.hypot(np.sqrt(2 / bend * excess), np.where(exposed, exposure / 2, 0.0))
     return ContactFits(
         candidate=gaps.candidate,

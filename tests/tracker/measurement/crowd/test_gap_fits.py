@@ -84,3 +84,14 @@ def test_an_earlier_slide_bends_the_path_before_a_contact():
     true = 0.4 - decel * lasts
     assert with_slide == pytest.approx(true, abs=1e-4)
     assert abs(without - true) > 20 * abs(with_slide - true)
+
+
+def test_paths_that_no_contact_explains_have_an_instant_as_uncertain_as_the_gap():
+    """Balls that jump about by a diameter: chi^2 of 1e8 and more, and in some gaps without a least inside."""
+    rng = np.random.default_rng(1)
+    jumps = [make_rows(k, DIAMETER * rng.normal(size=(12, 2)), (0.0, 0.0), (0.0, 0.0), 0.0) for k in range(40)]
+    pairs = [list(pair) for pair in zip(jumps[::2], jumps[1::2], strict=True)]
+    found = fit(pairs, [[(4, 5), (5, 6), (6, 7)]] * len(pairs))
+    assert found.excess.min() > 1e6
+    assert (found.time_std <= FRAME_S).all()
+    assert (found.time_std > 0.99 * FRAME_S).any()
