@@ -55,7 +55,10 @@ def read_clock(ticks: Sequence[float] | Array, tick: float, source: str) -> Film
     if off <= tolerance:
         return FilmClock(numbers, 1 / step, notes=lost)
     low, high = (1e3 * float(np.quantile(steps, share)) for share in (0.02, 0.98))
-    uneven = f"frame times are uneven, {low:.4g} to {high:.4g} ms apart by {source}; each frame has its own (t_s)"
+    spread = f"{low:.4g} to {high:.4g} ms apart"
+    if f"{low:.4g}" == f"{high:.4g}":  # few steps differ
+        spread = f"up to {1e3 * off:.2g} ms off a spacing of {low:.4g} ms"
+    uneven = f"frame times are uneven, {spread} by {source}; each frame has its own (t_s)"
     return FilmClock(numbers, 1 / usual, times, (uneven, *lost))
 
 
@@ -73,10 +76,15 @@ def describe_missing(numbers: Ints, fps: float, source: str) -> tuple[str, ...]:
         return ()
     lost = int((steps[gaps] // usual - 1).sum())
     after = [int(numbers[k]) // usual for k in gaps[:8]]
-    places = ", ".join(f"{k} ({1e3 * k * usual / fps:.4g} ms)" if fps else f"{k}" for k in after)
+    places = ", ".join(f"{k} ({_write_time(k * usual / fps)})" if fps else f"{k}" for k in after)
     more = f" and {len(gaps) - 8} more" if len(gaps) > 8 else ""
     are = "frames are" if lost > 1 else "frame is"
     return (f"{lost} {are} missing by {source}, after frame {places}{more}; frame numbers and times allow for that",)
+
+
+def _write_time(seconds: float) -> str:
+    """A time in a film, in ms below 10 s."""
+    return f"{1e3 * seconds:.4g} ms" if seconds < 10 else f"{seconds:.2f} s"
 
 
 def drop_copies(frames: Frames, pieces: Sequence[Callable[[int], Any]]) -> Frames:

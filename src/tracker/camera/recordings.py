@@ -166,9 +166,9 @@ def _make_pixels_square(frames: Frames, camera: Camera | None) -> tuple[Frames, 
 
     The camera file may have the size of the stored or of the shown picture. Its K decides where it has one.
     """
-    if abs(frames.aspect - 1) < 1e-3:
-        return frames, camera, ()
     height, width = frames.shape[1:]
+    if abs(frames.aspect - 1) < 1e-3 or round(width * frames.aspect) == width:
+        return frames, camera, ()
     shown = frames.stretch_pixels()
     wide, says = shown.shape[2], f"the file says that pixels are {frames.aspect:.4g} times as wide as high"
     note = f"{says}: the picture is stretched from {width} to {wide} px, in which scale and x, y are"

@@ -134,6 +134,14 @@ def test_oblong_pixels_are_made_square(tmp_path, aspect, width):
     assert make_recording(0, frames, None).camera.size == (width, 96)
 
 
+def test_pixels_so_nearly_square_that_no_column_is_added_are_left_alone(tmp_path):
+    frames = open_frames(oblong(tmp_path / "film.mp4", (301, 300)))
+    assert frames.aspect == pytest.approx(301 / 300)
+    clip = make_recording(0, frames, Camera.from_dict({**PLAIN, "size": [128, 96]}))
+    assert "stretched" not in "\n".join(map(str, clip.notes))
+    assert np.array_equal(clip.frames[3], frames[3])
+
+
 def test_oblong_pixels_and_the_matrix_of_a_camera(tmp_path):
     """A point of the plate is seen at the same point of the picture, stretched; a square K is believed."""
     frames = open_frames(oblong(tmp_path / "film.mp4", (4, 3)))

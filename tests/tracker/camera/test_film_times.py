@@ -14,7 +14,7 @@ import tracker
 from synthcam_shared.errors import InputError
 from tracker.camera.fields import FieldOrder
 from tracker.camera.film_options import FilmOptions
-from tracker.camera.frame_times import find_repeated
+from tracker.camera.frame_times import find_repeated, read_clock
 from tracker.camera.recordings import open_frames, open_source
 
 RNG = np.random.default_rng(45)
@@ -64,6 +64,19 @@ def test_uneven_time_stamps_become_the_times_of_frames(tmp_path):
     assert clip.frames.seconds == pytest.approx((times - times[0]) / 1e3, abs=1e-6)
     assert clip.frames.numbers.tolist() == list(range(24))
     assert "frame times are uneven, 30 to 39 ms apart by the time stamps" in notes
+
+
+def test_a_late_gap_has_its_time_in_seconds():
+    clock = read_clock([k + (k > 120) for k in range(150)], 0.1, "the time stamps")
+    assert clock.notes == (
+        "1 frame is missing by the time stamps, after frame 120 (12.00 s); frame numbers and times allow for that",
+    )
+
+
+def test_one_late_frame_is_said_by_its_delay():
+    times = np.arange(200) * 41.0
+    times[90] += 10
+    assert "uneven, up to 9.9 ms off a spacing of 41 ms by" in read_clock(times, 1e-3, "the time stamps").notes[0]
 
 
 def test_time_stamps_rounded_to_milliseconds_are_even(tmp_path):

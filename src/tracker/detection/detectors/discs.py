@@ -193,9 +193,12 @@ class Discs:
         min_crowd = 3.0  # area of what is refused, over that of the balls found, from which on a note reports a crowd
         yield from self.takes.describe()
         if refused:
+            why, count = "not round, of another size, or always there", sum(refused.values())
             yield (
-                f"{sum(refused.values())} objects in {len(refused)} frames are not balls and are left out (not round, "
-                f"of another size, or always there), frame {min(refused)} first"
+                f"one object in frame {min(refused)} is not a ball and is left out ({why})"
+                if count == 1
+                else f"{count} objects in {len(refused)} frames are not balls and are left out ({why}), "
+                f"frame {min(refused)} first"
             )
         if tally.refused_area > min_crowd * max(found, 10):
             height, width = self.view.plate.level.shape
@@ -373,6 +376,9 @@ class Discs:
             found = [(fitted, flag)] if fitted is not None else []
         elif self.in_colour:
             found = self._in_coloured_part(seen, part, radius)
+        elif part.is_oblong_disc(radius, self.settings.disc_radius_tolerance):
+            fitted = self._fit(seen, radius, part.middle, np.zeros(2))
+            found = [(fitted, 0)] if fitted is not None else []
         elif 0.3 < balls < 6:
             found = self._touching(seen, part, radius)
         whole = [(f, flag) for f, flag in found if abs(f.radius / radius - 1) < self.settings.disc_radius_tolerance]

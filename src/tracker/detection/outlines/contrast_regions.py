@@ -54,6 +54,16 @@ class ContrastRegion:
         # Two discs that touch are as long as a streak of 3.5 radii, but have a waist.
         return long < 2.2 or (elongated and long < 3.5 and self.fullness > MIN_STREAK_FULLNESS)
 
+    def is_oblong_disc(self, radius: float, tolerance: float) -> bool:
+        """True if it has the size of one disc at rest that a lens, an oblique view or its mount makes a little oblong.
+
+        As a streak it would be of a smaller disc.
+        """
+        max_axes, min_fullness = 1.35, 0.95  # long half axis over short one
+        equal = float(np.sqrt(self.area / np.pi))
+        oblong = np.hypot(*self.blur) > 0 and equal**2 < max_axes * self.minor**2
+        return bool(oblong and self.fullness > min_fullness and abs(equal / radius - 1) < 0.5 * tolerance)
+
     @property
     def at(self) -> tuple[slice, slice]:
         """Index of the mask without its rim into the picture."""

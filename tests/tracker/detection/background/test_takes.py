@@ -7,7 +7,7 @@ from tracker_discs import CAMERA, R, apart, collision, film, plate
 
 import tracker
 from tracker.camera.film_in_memory import wrap_frames
-from tracker.detection.background.takes import find_takes
+from tracker.detection.background.takes import FilmTakes, find_takes
 
 pytestmark = pytest.mark.usefixtures("unfitted", "not_local")
 
@@ -56,6 +56,15 @@ def test_exact_and_near_copies_have_notes_of_their_own_words():
     stored[21:31:2, 0, 0] += 1
     notes = [note for note in map(str, tracked(stored).notes) if "repeat the previous one" in note]
     assert [note.split(" the previous")[0] for note in notes] == ["15 frames repeat", "5 frames nearly repeat"]
+
+
+def test_one_frame_and_one_object_are_named_in_the_singular():
+    (note,) = FilmTakes(((0, 9),), (0,), frozenset({4}), 1.0).describe()
+    assert note.startswith("frame 4 nearly repeats the previous one, ")
+    pictures = film(np.random.default_rng(5), collision())
+    cv2.line(pictures[7], (20, 20), (120, 30), 250, 6)
+    notes = "\n".join(map(str, tracked(pictures).notes))
+    assert "one object in frame 7 is not a ball and is left out" in notes
 
 
 def test_noise_and_rest_are_no_copies():

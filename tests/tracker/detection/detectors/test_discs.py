@@ -42,6 +42,30 @@ def test_both_balls_in_every_frame_near_the_bound(ball, level):
     assert z.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * z.size))
 
 
+def oval(place, axes, size=SIZE, fine=8):
+    """Coverage (h, w) of an ellipse with half axes along x and y, by fine x fine samples a pixel."""
+    x, y = ((np.arange(n * fine) + 0.5) / fine - 0.5 for n in size[::-1])
+    inside = ((x - place[0]) / axes[0]) ** 2 + ((y[:, None] - place[1]) / axes[1]) ** 2 < 1
+    return inside.reshape(size[0], fine, size[1], fine).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize("ball", [25.0, 230.0])
+def test_a_ball_that_looks_oblong_in_a_part_of_the_picture_is_found_there(ball):
+    """The picture stretches towards its left edge, as under a lens or in an oblique view: 1.3 times as long as high."""
+    rng, radius = np.random.default_rng(6), 11.0
+    ground, places = plate(rng, 120.0), np.linspace([170.0, 100.0], [24.0, 90.0], 50)
+    ratio = 1 + 0.3 * np.clip((110 - places[:, 0]) / 86, 0, 1)
+    pictures = []
+    for place, q in zip(places, ratio, strict=True):
+        cover = oval(place, (radius * np.sqrt(q), radius / np.sqrt(q)))
+        light = ground + (ball - ground) * cover + rng.normal(0, 2.0, SIZE)
+        pictures.append(np.clip(np.rint(light), 0, 255).astype(np.uint8))
+    clip = recorded(np.array(pictures), Camera.from_dict({**CAMERA, "ball_diameter": 2 * radius * 1e-3}))
+    found = detect(clip, make_view(clip, "discs"), "discs").glints
+    assert found.frame.tolist() == list(range(50))
+    assert np.hypot(*(found.xy - places).T).max() < 0.5
+
+
 def test_dim_discs_in_noise_are_all_found():
     """Contrast 25, noise 6; at rest too, where a pixel alone does not tell the ball from the plate."""
     ways = collision()
