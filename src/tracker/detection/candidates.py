@@ -6,14 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam_shared.arrays import Array, Flags, Ints
+from synthcam_shared.arrays import Array, Ints
 from tracker.camera.frames import Frames, spread_frames
 from tracker.settings import DetectionSettings
 
@@ -153,34 +153,14 @@ class Candidates:
 
 
 class _CutSums:
-    """Sums over boxes of what bytes exceed a floor by, cut off at 255, by adding shifted pictures.
-
-    A sum over a threshold has at least one column of the box over that threshold's share of a column. Where few columns
-    are so bright, only the boxes that hold one are added up.
-    """
-
-    WORD = 8  # pixels that are looked at together
+    """Sums over boxes of what bytes exceed a floor by, cut off at 255, by adding shifted pictures."""
 
     def __init__(self, shape: tuple[int, ...], box: int) -> None:
         (self.height, self.width), self.box, self.rim = shape, box, box // 2
-        self.wide = self.width + 2 * self.rim
-        size = self.height * self.wide  # of the sums of columns, to which a part of a word is added
-        self.down, self.over = (
-            np.zeros(size + -size % self.WORD, np.uint8),
-            np.zeros(size + -size % self.WORD, np.bool_),
-        )
-        self.columns = self.down[:size].reshape(self.height, self.wide)
-        size += 2 * self.rim * self.wide
-        self.pixels = np.zeros(size + 2 * self.WORD, np.uint8)
-        self.lifted = self.pixels[:size].reshape(-1, self.wide)
+        wide = self.width + 2 * self.rim
+        self.lifted = np.zeros((self.height + 2 * self.rim, wide), np.uint8)
+        self.columns = np.zeros((self.height, wide), np.uint8)
         self.sums = np.empty(shape, np.uint8)
-        self.is_quick = True  # whether few columns are so bright
-        rows, across = np.arange(box) * self.wide, np.arange(1 - box, self.WORD + box - 1)
-        self.around = np.add.outer(rows, across).ravel()  # the pixels of the boxes that hold a column of a word
-
-    def __reduce__(self) -> tuple[type[_CutSums], tuple[tuple[int, int], int]]:
-        """Make new memory in another process: pickled, views would become arrays of their own."""
-        return _CutSums, ((self.height, self.width), self.box)
 
     def add_up(self, frame: NDArray[np.uint8], floor: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """The sums (h, w). They are overwritten by the next call."""
@@ -194,56 +174,112 @@ class _CutSums:
     def whole(self, rows: Ints, columns: Ints) -> Array:
         """The sums (k,) at pixels, not cut off."""
         span = np.arange(self.box)
-        pixels = (rows * self.wide + columns)[:, None] + np.add.outer(span * self.wide, span).ravel()
-        return np.asarray(self.pixels[pixels].sum(axis=1, dtype=np.float64))
-
-    def find_bright_words(
-        self, frame: NDArray[np.uint8], floor: NDArray[np.uint8], threshold: int
-    ) -> tuple[Ints, NDArray[np.uint8]] | None:
-        """Words (k,) of pixels with a bright column, and the pixels of their boxes; None where there are many.
-
-        The pixels are (k, box, 8 + 2 (box - 1)).
-        """
-        most = 0.002  # share of the words, from which on it is quicker to add up all boxes
-        if not self.is_quick:
-            return None
-        self._add_columns(frame, floor)
-        np.greater(self.down, np.uint8(threshold // self.box), out=self.over)
-        words = np.asarray((self.over.view(np.uint64) != 0).nonzero()[0])
-        self.is_quick = len(words) < max(most * len(self.over), 64)
-        if not self.is_quick:
-            return None
-        around = self.pixels[(words * self.WORD)[:, None] + self.around]
-        return words, around.reshape(len(words), self.box, self.WORD + 2 * (self.box - 1))
-
-    def find_boxes(self, words: Ints, pixels: NDArray[np.uint8], threshold: int) -> tuple[Ints, Ints, Ints]:
-        """The boxes (m,) of bright words whose sums exceed a threshold: word, first pixel, and sum, not cut off.
-
-        A box that holds columns of two words is in both. Some boxes reach across the rim; see `locate`.
-        """
-        down = pixels.sum(axis=1, dtype=np.int64)
-        count = self.WORD + self.box - 1
-        sums = down[:, :count].copy()
-        for k in range(1, self.box):
-            sums += down[:, k : k + count]
-        word, at = (sums > threshold).nonzero()
-        return word, words[word] * self.WORD + at + (1 - self.box), sums[word, at]
-
-    def locate(self, first: Ints) -> tuple[Ints, Ints, Flags]:
-        """Rows and columns (m,) of the pixels in the middle of boxes, and whether a box lies within the rim."""
-        rows, columns = np.divmod(first, self.wide)
-        return rows, columns, (rows >= 0) & (columns < self.width) & (rows < self.height)
+        pixels = self.lifted[(rows[:, None] + span)[:, :, None], (columns[:, None] + span)[:, None]]
+        return np.asarray(pixels.sum(axis=(1, 2), dtype=np.float64))
 
     def _add_columns(self, frame: NDArray[np.uint8], floor: NDArray[np.uint8]) -> None:
         """Lift a frame off the floor, beyond whose rim it is reflected, and add up the columns of all boxes."""
         (h, w), rim, lifted = frame.shape, self.rim, self.lifted
         cv2.subtract(frame, floor, dst=lifted[rim : rim + h, rim : rim + w])
-        for picture, n in ((lifted, h), (lifted.T, w)):
-            picture[:rim] = picture[rim : 2 * rim][::-1]
-            picture[n + rim :] = picture[n : n + rim][::-1]
+        _reflect_rim(lifted, rim, (h, w))
         cv2.add(lifted[:h], lifted[1 : 1 + h], dst=self.columns)
         for k in range(2, self.box):
             cv2.add(self.columns, lifted[k : k + h], dst=self.columns)
+
+
+def _reflect_rim(picture: NDArray[np.uint8], rim: int, shape: tuple[int, ...]) -> None:
+    """Reflect a picture of a shape (h, w) at its edges in what lies beyond them, out to `rim`."""
+    for rows, n in zip((picture, picture.T), shape, strict=True):
+        rows[:rim] = rows[rim : 2 * rim][::-1]
+        rows[n + rim : n + 2 * rim] = rows[n : n + rim][::-1]
+
+
+class _BrightBoxes(NamedTuple):
+    """Boxes (m,) of some frames, whose sums exceed a threshold."""
+
+    number: Ints  # of the frame
+    row: Ints  # of the pixel in the middle
+    column: Ints
+    sums: Ints  # of what the pixels exceed a floor by
+
+
+class _FewBrightBoxes:
+    """Finds the boxes whose sums of bytes over a floor exceed a threshold, in frames with few bright pixels.
+
+    Two frames are first looked at together, by the larger of each two pixels. The sums of what it exceeds the level of
+    the plate by tell where a box may be bright. They are over one more row than a box has, from every other row on, and
+    so half as many. Only the boxes there are then added up in each frame.
+    """
+
+    TOGETHER = 2  # frames; of more, the noise looks bright
+    WORD = 8  # sums that are compared together
+
+    def __init__(self, level: NDArray[np.uint8], drop: int, box: int, threshold: int) -> None:
+        """drop: counts from the level of the plate to the floor; threshold: of the sums over that floor."""
+        self.given = level, drop, box, threshold
+        self.level, self.floor = level, cv2.subtract(level, np.full_like(level, drop))
+        self.box, self.threshold, self.rim, (self.height, self.width) = box, threshold, box // 2, level.shape
+        self.limit = np.uint8(threshold - box * box * drop)  # a pixel exceeds the level by `drop` less, if at all
+        rows, wide = self.height + 2 * self.rim, self.width + 2 * self.rim
+        self.lifted = np.zeros((rows + rows % 2, wide + -wide % self.WORD), np.uint8)
+        self.pairs = np.zeros((len(self.lifted) // 2, self.lifted.shape[1]), np.uint8)
+        self.columns, self.sums = np.zeros((2, len(self.pairs) - self.rim, self.lifted.shape[1]), np.uint8)
+        self.over, self.larger = np.zeros(self.sums.shape, np.bool_), np.empty_like(level)
+        self.is_quick = True  # whether few sums are bright
+        # pixels beyond the rim are reflections; those farther out are of no box whose middle is in the picture
+        self.row_at, self.column_at = (
+            np.pad(np.pad(np.arange(n), self.rim, mode="symmetric"), (0, self.WORD + box), mode="edge")
+            for n in level.shape
+        )
+
+    def __reduce__(self) -> tuple[type[_FewBrightBoxes], tuple[Any, ...]]:
+        """Make new memory in another process, in place of a copy of this."""
+        return _FewBrightBoxes, self.given
+
+    def find_words(self, frames: Sequence[NDArray[np.uint8]]) -> Ints | None:
+        """Numbers (k,) of the words that hold a bright sum, in one or two frames; None where there are many."""
+        most = 0.002  # of the sums, from which on it is quicker to add up all boxes
+        if not self.is_quick:
+            return None
+        rim, lifted, pairs, columns = self.rim, self.lifted, self.pairs, self.columns
+        larger = frames[0] if len(frames) == 1 else cv2.max(frames[0], frames[1], dst=self.larger)
+        cv2.subtract(larger, self.level, dst=lifted[rim : rim + self.height, rim : rim + self.width])
+        _reflect_rim(lifted, rim, self.level.shape)
+        cv2.add(lifted[::2], lifted[1::2], dst=pairs)
+        cv2.add(pairs[: len(columns)], pairs[1 : 1 + len(columns)], dst=columns)
+        for k in range(2, rim + 1):
+            cv2.add(columns, pairs[k : k + len(columns)], dst=columns)
+        # one row after the other: sums across the ends of two rows are of no box within the rim
+        down, sums = columns.ravel(), self.sums.ravel()[: 1 - self.box]
+        cv2.add(down[: len(sums)], down[1 : 1 + len(sums)], dst=sums)
+        for k in range(2, self.box):
+            cv2.add(sums, down[k : k + len(sums)], dst=sums)
+        np.greater(self.sums, self.limit, out=self.over)
+        words = np.asarray((self.over.ravel().view(np.uint64) != 0).nonzero()[0])
+        self.is_quick = len(words) < max(most * self.over.size, 64)
+        return words if self.is_quick else None
+
+    def add_up(self, frames: Sequence[NDArray[np.uint8]], words: Sequence[Ints]) -> _BrightBoxes:
+        """Add up the boxes of these words of each frame, each box once."""
+        counts = [len(own) for own in words]
+        top, left = np.divmod(np.concatenate(words), self.over.shape[1] // self.WORD)
+        top, left = 2 * top, self.WORD * left
+        rows = self.row_at[top[:, None] + np.arange(self.box + 1)]
+        columns = self.column_at[left[:, None] + np.arange(self.WORD + self.box - 1)]
+        at = rows[:, :, None] * self.width + columns[:, None]
+        parts = np.split(at, np.cumsum(counts)[:-1])
+        seen = np.concatenate([frame.ravel()[part] for frame, part in zip(frames, parts, strict=True)])
+        lifted = np.maximum(seen.astype(np.int16) - self.floor.ravel()[at], 0)  # of whole boxes no sum is too large
+        middle = lifted[:, 1 : self.box].sum(axis=1, dtype=np.int16)
+        down = np.stack([lifted[:, 0] + middle, middle + lifted[:, self.box]], axis=1)
+        sums = down[..., : self.WORD].copy()
+        for k in range(1, self.box):
+            sums += down[..., k : k + self.WORD]
+        word, lower, across = (sums > self.threshold).nonzero()
+        row, column, of_boxes = top[word] + lower, left[word] + across, sums[word, lower, across].astype(np.int64)
+        inside = (row < self.height) & (column < self.width)
+        number = np.repeat(np.arange(len(frames)), counts)[word]
+        return _BrightBoxes(number[inside], row[inside], column[inside], of_boxes[inside])
 
 
 class CandidateSearch:
@@ -277,6 +313,7 @@ class CandidateSearch:
         # In small boxes, sums of bytes that are cut off at 255 decide as whole ones do, and cost half of their time.
         cut = small and self.threshold < 255 and self.box <= 5
         self.cut_sums = _CutSums(plate.level.shape, self.box) if cut else None
+        self.few = _FewBrightBoxes(plate.level, drop, self.box, self.threshold) if cut else None
         # Kept between frames: fresh memory of this size would cost more time than the sums.
         shape = (0, 0) if cut else plate.level.shape
         self.over, self.lifted = np.empty(shape, np.bool_), np.empty(shape, plate.level.dtype)
@@ -294,35 +331,28 @@ class CandidateSearch:
 
     def search_together(self, frames: Sequence[NDArray[Any]]) -> list[Candidates]:
         """The candidates of each of some frames; most of the time of small frames is that of numpy's calls."""
-        bright, waiting, out = list[tuple[Ints, NDArray[np.uint8]]](), list[int](), list[Candidates | None]()
-        for k, frame in enumerate(frames):
-            found = self.cut_sums and self.cut_sums.find_bright_words(frame, self.floor, self.threshold)
-            out.append(None if found else self._search_thoroughly(frame))
-            if found:
-                waiting.append(k)
-                bright.append(found)
-        if self.cut_sums and waiting:
-            of_frame = np.repeat(waiting, [len(words) for words, _ in bright])
-            words, pixels = (np.concatenate(part) for part in zip(*bright, strict=True))
-            word, first, sums = self.cut_sums.find_boxes(words, pixels, self.threshold)
-            strongest = self._choose_strongest(self.cut_sums, waiting, of_frame[word], first, sums)
-            for k, one in zip(waiting, strongest, strict=True):
-                out[k] = one
-        return [self._search_thoroughly(frames[k]) if one is None else one for k, one in enumerate(out)]
+        out, words = list[Candidates | None](), list[Ints]()
+        if self.few is not None:
+            for first in range(0, len(frames), self.few.TOGETHER):
+                some = frames[first : first + self.few.TOGETHER]
+                found = self.few.find_words(some)
+                if found is None:
+                    break
+                words += [found] * len(some)
+        if self.few is not None and words:
+            out += self._choose_strongest(len(words), self.few.add_up(frames[: len(words)], words))
+        out += [None] * (len(frames) - len(out))
+        return [self._search_thoroughly(frame) if one is None else one for frame, one in zip(frames, out, strict=True)]
 
-    def _choose_strongest(
-        self, boxes: _CutSums, numbers: Sequence[int], frame: Ints, first: Ints, sums: Ints
-    ) -> list[Candidates | None]:
-        """The strongest pixels of each of these frames, as `_strongest`; None where one has too many for that."""
+    def _choose_strongest(self, count: int, boxes: _BrightBoxes) -> list[Candidates | None]:
+        """The strongest pixels of each of so many frames, as `_strongest`; None where one has too many for that."""
         # Sorted by frame, then the strongest and of equals the first: one key takes a fifth of the time of three.
-        shift, top = 31, 2**16 - 1  # bits of a pixel's number, and more than a sum
-        key = np.sort((((frame << 16) + top - sums) << shift) + first + boxes.box)  # first > -box
-        first = (key & (2**shift - 1)) - boxes.box
-        rows, columns, inside = boxes.locate(first)
-        frame, values = (key >> (shift + 16))[inside], (top - (key >> shift & top))[inside].astype(np.float64)
-        rows, columns = rows[inside], columns[inside]
-        limits = frame.searchsorted([*numbers, numbers[-1] + 1])
-        many = np.diff(limits) > RAISED_SHARE * self.plate.level.size
+        shift, top, width = 31, 2**16 - 1, self.plate.level.shape[1]  # bits of a pixel's number, more than a sum
+        key = np.sort((((boxes.number << 16) + top - boxes.sums) << shift) + boxes.row * width + boxes.column)
+        rows, columns = np.divmod(key & (2**shift - 1), width)
+        frame, values = key >> (shift + 16), (top - (key >> shift & top)).astype(np.float64)
+        numbers = np.arange(count + 1)
+        many = np.diff(frame.searchsorted(numbers)) > RAISED_SHARE * self.plate.level.size
         chosen, left = [np.empty(0, np.int64)], np.arange(len(frame))
         for _ in range(self.most):
             if not len(left):
@@ -334,10 +364,12 @@ class CandidateSearch:
             left = left[across * across + down * down > self.apart**2]
         kept = np.concatenate(chosen)
         kept = kept[np.argsort(frame[kept], kind="stable")]
-        limits = frame[kept].searchsorted([*numbers, numbers[-1] + 1])
+        limits = frame[kept].searchsorted(numbers)
+        rows, columns, values = rows[kept], columns[kept], values[kept] - self.base
+        parts = zip(many.tolist(), limits[:-1].tolist(), limits[1:].tolist(), strict=True)
         return [
-            None if full else Candidates(columns[own], rows[own], values[own] - self.base)
-            for full, own in zip(many.tolist(), np.split(kept, limits[1:-1]), strict=True)
+            None if full else Candidates(columns[first:end], rows[first:end], values[first:end])
+            for full, first, end in parts
         ]
 
     def _search_thoroughly(self, frame: NDArray[Any]) -> Candidates:

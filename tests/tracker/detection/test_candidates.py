@@ -106,3 +106,25 @@ def test_a_glint_is_found_wherever_it_lies_in_a_word_of_pixels(column):
     corner = np.roll(frame, (-51, 0), axis=(0, 1))  # the first columns, and the last word
     assert CandidateSearch(EmptyPlate(np.full(SIZE, 8, np.uint8), 0.3), 1.0, 10.0)(corner).row.min() == 0
     assert abs(found.column[0] - column) <= 1
+
+
+@pytest.mark.parametrize("sigma", [1.0, 1.6])
+def test_the_quick_search_finds_all_that_sums_over_every_box_do(sigma):
+    """In pictures of any size, on uneven plates, of bodies anywhere, in some of one to five frames."""
+    rng, count = np.random.default_rng(4), 0
+    for _ in range(20):
+        shape = tuple(rng.integers(30, 140, 2))
+        level = rng.integers(0, 30, shape).astype(np.uint8)
+        search, frames = CandidateSearch(EmptyPlate(level, rng.uniform(0.5, 1.0)), sigma, 7.0), []
+        for _ in range(rng.integers(1, 6)):
+            picture = level + np.rint(rng.normal(0, 0.3, shape)).astype(int)
+            for row, column in rng.integers(0, shape, (rng.integers(0, 6), 2)):
+                picture[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] += rng.integers(5, 120)
+            frames.append(np.clip(picture, 0, 255).astype(np.uint8))
+        for frame, found in zip(frames, search.search_together(frames), strict=True):
+            every = search._search_thoroughly(frame)
+            for name in ("row", "column", "strength"):
+                np.testing.assert_array_equal(getattr(found, name), getattr(every, name))
+        assert search.few is not None
+        count += search.few.is_quick
+    assert count > 15

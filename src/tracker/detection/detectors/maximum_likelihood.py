@@ -109,7 +109,7 @@ class MaximumLikelihood:
         self, frames: Iterable[tuple[int, NDArray[Any]]]
     ) -> Iterator[tuple[int, tuple[Candidates, list[Patch]]]]:
         """Examine numbered frames, a few small ones at a time."""
-        most_frames, most_pixels = 8, 2**22  # at a time
+        most_frames, most_pixels = 16, 5 * 2**20  # at a time
         together = min(max(most_pixels // self.sound.size, 1), most_frames)
         left = iter(frames)
         while some := list(islice(left, together)):
