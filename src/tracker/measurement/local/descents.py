@@ -26,6 +26,7 @@ Found = TypeVar("Found")
 # A problem is as good as linear if each step so far has gained this share of what it would gain in a linear one.
 # Damping then only slows the descent down, and falls by this factor.
 LINEAR_SHARE, LINEAR_DAMPING_FACTOR = 0.95, 1e-3
+SHORT_STEP = 0.1  # of logarithms, and of directions in rad, up to which a last step of little gain is not checked
 
 
 @dataclass(frozen=True)
@@ -123,22 +124,30 @@ def _solve_stack(descents: Sequence[Descent]) -> list[list[LocalSolution]]:
     damping, turns = np.full(len(x), 1e-3), np.zeros(len(x), dtype=int)
     is_linear = np.ones(len(x), dtype=bool)
     while len(active):
-        start, own_cost, own_pull, own_square = x[active], cost[active], pull[active], square[active]
+        own_pull, own_square = pull[active], square[active]
         size = np.sqrt(np.diagonal(own_square, axis1=1, axis2=2) + 1e-12)
         damped = own_square / size[:, :, None] / size[:, None]
         damped[:, each, each] += damping[active][:, None]
         step = -solve_each(damped, (own_pull / size)[..., None])[..., 0] / size
-        tried = stack.keep_within_reach(start, step)
-        new, new_pull, new_square = stack.sum_squares(tried, active)
-        better, moved = new <= own_cost, tried - start
+        tried = stack.keep_within_reach(x[active], step)
+        moved = tried - x[active]
         predicted = -(moved * (2 * own_pull + (own_square @ moved[..., None])[..., 0])).sum(axis=1)
-        gain, at = (own_cost - new)[better], active[better]
+        least = least_gain[active] * (1 + 1e-3 * cost[active])
+        # so short a step gains as much as in a linear problem, which its residuals need not confirm
+        short = (predicted < least_gain[active]) & (np.abs(moved[:, stack.short]).max(axis=1) < SHORT_STEP)
+        x[active[short]], cost[active[short]] = tried[short], (cost[active] - predicted)[short]
+        active, tried, predicted, least = active[~short], tried[~short], predicted[~short], least[~short]
+        if not len(active):
+            break
+        new, new_pull, new_square = stack.sum_squares(tried, active)
+        gain = cost[active] - new
+        better, at = gain >= 0, active[gain >= 0]
         x[at], cost[at], pull[at], square[at] = tried[better], new[better], new_pull[better], new_square[better]
-        is_linear[active] &= better & (own_cost - new > LINEAR_SHARE * predicted)
+        is_linear[active] &= better & (gain > LINEAR_SHARE * predicted)
         damping[active] *= np.where(better, np.where(is_linear[active], LINEAR_DAMPING_FACTOR, 0.2), 8.0)
         turns[at] += 1
         ends = np.zeros(len(x), dtype=bool)
-        ends[at] = (gain < least_gain[at] * (1 + 1e-3 * cost[at])) | (turns[at] >= steps[at])
+        ends[at] = (gain < least)[better] | (turns[at] >= steps[at])
         least_cost = np.repeat(np.minimum.reduceat(cost, first), count)
         ends |= (damping > 1e8) | ((turns > 3) & (cost > least_cost + hopeless))
         active = active[~ends[active]]
