@@ -129,14 +129,18 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(elapsed_when_finished=True))
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(what, total=None)
+    bar = Progress(*columns, console=Console(stderr=True))
+    task = bar.add_task(what, total=None)
 
-        def show(done: int, total: int) -> None:
-            raise_if_interrupted()
-            bar.update(task, completed=done, total=total or None)
+    def show(done: int, total: int) -> None:
+        raise_if_interrupted()
+        bar.start()  # not before, because it starts a thread
+        bar.update(task, completed=done, total=total or None)
 
+    try:
         yield show
+    finally:
+        bar.stop()
 
 
 def read_progress_interval(usual: float = 30.0) -> float:

@@ -19,7 +19,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Literal, TypeVar
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.interruption import hold_ctrl_c, raise_if_interrupted
@@ -53,6 +53,7 @@ def run_jobs(
     *,
     trials: int = 2,
     announce: Callable[[JobForecast], None] | None = None,
+    fork: bool = False,
 ) -> Iterator[JobValue[T] | LostJob]:
     """Do the work for each number, and yield the answers in the order in which the jobs end.
 
@@ -64,31 +65,52 @@ def run_jobs(
     trials: jobs, spread evenly over the numbers, that this process does first where the number of workers is open or
     `announce` is given.
     announce: takes a forecast after them if there is more to do.
+    fork: let the other processes be copies of this one, made at once, where it has no other thread. They start in a few
+    ms. Expected are libraries that survive it: OpenGL does not if it has been started.
 
     Raises InputError if three workers in a row are lost, or the scheduler cannot be used.
     """
-    worth_processes = 3.0  # s of processor time to come: a process takes half as long to load its libraries
     if scheduler:
         from synthcam_shared.dask_cluster import Cluster  # here alone: Dask is an optional dependency
 
-        yield from Cluster(scheduler).run(work, numbers)
-        return
-    if numbers and (announce or not workers):
-        last = len(numbers) - 1
-        first = sorted({numbers[-(-k * last // max(trials - 1, 1))] for k in range(trials)})
-        ends = []
-        for number in first:
-            value = work(number)
-            raise_if_interrupted()
-            yield JobValue(number, value)
-            ends.append((time.perf_counter(), time.process_time()))
-        numbers = [number for number in numbers if number not in first]
-        if numbers:
-            wall, processor = ((b - a) / (len(ends) - 1) for a, b in zip(ends[0], ends[-1], strict=True))
-            workers = workers or (count_cores() if processor * len(numbers) > worth_processes else 1)
-            if announce:
-                announce(JobForecast(tuple(first), wall, len(numbers), workers))
-    yield from _run_in_processes(work, numbers, max(min(workers, len(numbers)) - 1, 0))
+        return Cluster(scheduler).run(work, numbers)
+    ready = list[_Worker]()
+    if fork and workers != 1 and _has_one_thread():
+        packed = bytes(ForkingPickler.dumps(work))
+        ready = [_Worker(packed, "fork") for _ in range(min(workers or count_cores(), len(numbers)) - 1)]
+    return _run_trials_first(work, numbers, workers, trials, announce, ready)
+
+
+def _run_trials_first(
+    work: Callable[[int], T],
+    numbers: Sequence[int],
+    workers: int,
+    trials: int,
+    announce: Callable[[JobForecast], None] | None,
+    ready: list["_Worker"],
+) -> Iterator[JobValue[T] | LostJob]:
+    """Run the jobs as `run_jobs` does; `ready` are processes that have nothing to do yet."""
+    worth_processes = 1.0 if ready else 3.0  # s of processor time to come: of a process, half goes into its start
+    try:
+        if numbers and (announce or not workers):
+            last = len(numbers) - 1
+            first = sorted({numbers[-(-k * last // max(trials - 1, 1))] for k in range(trials)})
+            ends = []
+            for number in first:
+                value = work(number)
+                raise_if_interrupted()
+                yield JobValue(number, value)
+                ends.append((time.perf_counter(), time.process_time()))
+            numbers = [number for number in numbers if number not in first]
+            if numbers:
+                wall, processor = ((b - a) / (len(ends) - 1) for a, b in zip(ends[0], ends[-1], strict=True))
+                workers = workers or (count_cores() if processor * len(numbers) > worth_processes else 1)
+                if announce:
+                    announce(JobForecast(tuple(first), wall, len(numbers), workers))
+        yield from _run_in_processes(work, numbers, max(min(workers, len(numbers)) - 1, 0), ready)
+    finally:
+        for worker in ready:
+            worker.end()
 
 
 def run_all_jobs(
@@ -133,17 +155,30 @@ def use_one_thread() -> None:
             ctypes.CDLL(None).mallopt(option, kept_bytes)
 
 
-class _Worker:
-    """A process that does jobs. It is at the first of `numbers`; the next is ready, so that it never waits."""
+def _has_one_thread() -> bool:
+    """Tell whether this process has no other thread: a copy of it might wait for ever for what such a thread locks."""
+    harmless = {"jemalloc_bg_thd"}  # of pyarrow's allocator, which prepares itself for a fork
+    try:
+        names = [(thread / "comm").read_text().strip() for thread in Path("/proc/self/task").iterdir()]
+    except OSError:  # another system
+        return False
+    return len([name for name in names if name not in harmless]) == 1
 
-    def __init__(self, work: bytes) -> None:
+
+class _Worker:
+    """A process that does jobs. It is at the first of `numbers`; the next is ready, so that it never waits.
+
+    method: "spawn", or "fork" for a copy of this process.
+    """
+
+    def __init__(self, work: bytes, method: Literal["spawn", "fork"] = "spawn") -> None:
         # llvmpipe and BLAS with threads of their own would compete for the same cores
         os.environ |= {"LP_NUM_THREADS": "0", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        context = multiprocessing.get_context("spawn")
+        context: Any = multiprocessing.get_context(method)
         self.numbers: deque[int] = deque()
         self.pipe, there = context.Pipe()
-        self.process = context.Process(target=_serve, args=(there,), daemon=True)
-        if hasattr(signal, "pthread_sigmask"):
+        self.process = context.Process(target=_serve, args=(there, method), daemon=True)
+        if method == "spawn" and hasattr(signal, "pthread_sigmask"):
             resource_tracker.ensure_running()  # started with the first process, it would let Ctrl-C through again
         with hold_ctrl_c():  # a process that hears it while it imports prints a traceback
             self.process.start()
@@ -159,7 +194,9 @@ class _Worker:
                 self.pipe.send(self.numbers[-1])
 
     def end(self) -> str:
-        """Wait for the end of the process, which an idle one reaches by itself, and say how it ended."""
+        """Let an idle process end, wait for the end, and say how it ended."""
+        with suppress(OSError):  # it ended before
+            self.pipe.send(None)  # a forked process does not notice that the pipe is closed: others have copies of it
         self.pipe.close()
         self.process.join()
         code = self.process.exitcode or 0
@@ -167,9 +204,9 @@ class _Worker:
 
 
 def _run_in_processes(
-    work: Callable[[int], T], numbers: Sequence[int], others: int, most_lost_in_a_row: int = 3
+    work: Callable[[int], T], numbers: Sequence[int], others: int, ready: list[_Worker], most_lost_in_a_row: int = 3
 ) -> Iterator[JobValue[T] | LostJob]:
-    """Run the jobs in this process and so many others."""
+    """Run the jobs in this process and so many others, first those that are `ready`."""
     queue, busy, lost_in_a_row = deque(numbers), dict[Connection, _Worker](), 0
     packed = bytes(ForkingPickler.dumps(work)) if others else b""
 
@@ -182,7 +219,7 @@ def _run_in_processes(
 
     try:
         for _ in range(others):
-            hand_out(_Worker(packed))
+            hand_out(ready.pop() if ready else _Worker(packed))
         while busy or queue:
             if queue:
                 number = queue.popleft()
@@ -206,6 +243,7 @@ def _run_in_processes(
                     yield LostJob(number, f"its {end}")
                     continue
                 if error is not None:
+                    worker.end()
                     raise error
                 lost_in_a_row = 0
                 hand_out(worker)
@@ -216,17 +254,18 @@ def _run_in_processes(
             worker.end()
 
 
-def _serve(pipe: Connection) -> None:
+def _serve(pipe: Connection, method: str) -> None:
     """Take the work, then answer the numbers that come through the pipe, until there is none or the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
-    defer_garbage_collection()
+    if method == "spawn":  # a copy has this from its parent, and has no teardown
+        defer_garbage_collection()
     end_at_once = skip_teardown()
     # Without this, workers of a killed parent would wait for ever, or write into the folder of the next run.
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         work = pipe.recv()
-        while True:
-            pipe.send((work(pipe.recv()), None))
+        while (number := pipe.recv()) is not None:
+            pipe.send((work(number), None))
     except (EOFError, BrokenPipeError):
         pass
     except Exception as error:

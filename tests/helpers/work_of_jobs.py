@@ -36,6 +36,13 @@ def die(number):
     os._exit(3)
 
 
+known = "nothing"
+
+
+def recall(number):
+    return known, os.getpid()
+
+
 def hears_ctrl_c(number):
     return signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 

@@ -93,7 +93,7 @@ def test_processes_start_where_there_is_much_to_do(monkeypatch, seconds, others,
     """The first, the last and perhaps a middle job show how long one takes."""
     clock, asked = itertools.count(0, seconds), []
 
-    def run_in_processes(work, numbers, others):
+    def run_in_processes(work, numbers, others, ready):
         asked.append((list(numbers), others))
         return [JobValue(number, work(number)) for number in numbers]
 
@@ -143,19 +143,49 @@ def test_work_is_sent_once_to_a_process_not_with_each_number(monkeypatch):
     assert Counted.sent == 1
 
 
+COPIES = """
+import functools, os, sys, threading
+import work_of_jobs
+from synthcam_shared.jobs import run_jobs
+
+if __name__ == "__main__":
+    work_of_jobs.known = "what the parent knew"
+    if sys.argv[1:] == ["beside a thread"]:
+        threading.Thread(target=threading.Event().wait, daemon=True).start()
+    recalled = run_jobs(work_of_jobs.elsewhere(work_of_jobs.recall), range(8), 3, fork=True)
+    values = [result.value for result in recalled]
+    print(len(values), {value[0] for value in values if value != os.getpid()})
+    killed = run_jobs(work_of_jobs.elsewhere(functools.partial(work_of_jobs.kill, (0,))), range(8), 2, fork=True)
+    print(sorted((result.number, type(result).__name__) for result in killed)[0])
+"""
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="reads /proc")
+@pytest.mark.parametrize(("case", "knew"), [("alone", "what the parent knew"), ("beside a thread", "nothing")])
+def test_processes_are_copies_of_this_one_where_it_has_one_thread(case, knew, tmp_path):
+    """A process that is started anew has what the module says."""
+    (tmp_path / "copies.py").write_text(COPIES)
+    words = [sys.executable, str(tmp_path / "copies.py"), case]
+    done = subprocess.run(
+        words, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == ["8 {" + repr(knew) + "}", "(0, 'LostJob')"]
+
+
 BUSY = """
 import time
 from synthcam_shared.jobs import run_jobs
 
 if __name__ == "__main__":
-    for _ in run_jobs(time.sleep, [60] * 6, 3): pass
+    for _ in run_jobs(time.sleep, [60] * 6, 3, fork={fork}): pass
 """
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="reads /proc")
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
-def test_workers_do_not_outlive_a_killed_parent(how, tmp_path):
-    (tmp_path / "busy.py").write_text(BUSY)
+@pytest.mark.parametrize(("how", "fork"), [(signal.SIGKILL, False), (signal.SIGTERM, False), (signal.SIGKILL, True)])
+def test_workers_do_not_outlive_a_killed_parent(how, fork, tmp_path):
+    (tmp_path / "busy.py").write_text(BUSY.format(fork=fork))
     first = subprocess.Popen([sys.executable, str(tmp_path / "busy.py")], start_new_session=True)
     assert until(lambda: len(alive(first.pid)) >= 3)
     first.send_signal(how)

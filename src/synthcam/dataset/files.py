@@ -246,7 +246,8 @@ def _counts(folder: Path) -> list[str]:
         return [] if numbers == wanted else [f"clips/: {len(numbers)} folders for {len(wanted)} clips of the shard"]
     if not (folder / "truth" / "clips.parquet").is_file():
         return [] if numbers == list(range(len(clips))) else [f"clips/: {len(clips)} folders, with gaps between them"]
-    table = pq.read_table(folder / "truth" / "clips.parquet", columns=["clip", "frames_sha256"]).to_pydict()
+    with (folder / "truth" / "clips.parquet").open("rb") as file:
+        table = pq.read_table(file, columns=["clip", "frames_sha256"]).to_pydict()
     listed, digests = table["clip"], table["frames_sha256"]
     if numbers != listed:
         problems.append(f"clips/: {len(clips)} folders for {len(listed)} rows of truth/clips.parquet")

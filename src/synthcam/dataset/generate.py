@@ -15,7 +15,7 @@ import numpy as np
 from synthcam.dataset.files import finish_dataset, finish_shard, write_clip
 from synthcam.dataset.partial_dataset import PLAN, PartialDataset, open_partial, place_clip
 from synthcam.library import add_effects, hash_effect_files, list_added_folders
-from synthcam.scene.clip import Clip
+from synthcam.scene.clip import Clip, has_opengl_started
 from synthcam.scene.scene import Scene, check_scene
 from synthcam_shared.errors import InputError, NoGL
 from synthcam_shared.interruption import raise_if_interrupted
@@ -130,9 +130,11 @@ def generate_dataset(
         folders = made.folder.absolute(), made.truth.absolute()
         work = partial(_make_in_worker, plan, version("synthcam"), list_added_folders(), *folders)
         tell = None if announce is None else lambda trial: announce(_estimate(made, trial))
-        progress(len(done), plan.total)
+        fork = not has_opengl_started()
+        jobs = run_jobs(work, todo, workers, scheduler, trials=3, announce=tell, fork=fork)
+        progress(len(done), plan.total)  # afterwards: a bar on a terminal has a thread
         failed = []
-        for count, result in enumerate(run_jobs(work, todo, workers, scheduler, trials=3, announce=tell), 1):
+        for count, result in enumerate(jobs, 1):
             problem = result.reason if isinstance(result, LostJob) else result.value
             failed += [f"clip {result.number}: {problem}"] if problem is not None else []
             progress(len(done) + count, plan.total)

@@ -19,6 +19,7 @@ import tifffile
 from synthcam.dataset.generate import MAX_CLIPS
 from synthcam.dataset.labelled_frames import MAX_FAILURES_IN_A_ROW, LabelledFrame, encode_png, make_clips
 from synthcam.library import add_effects, hash_effect_files, list_added_folders
+from synthcam.scene.clip import has_opengl_started
 from synthcam.scene.scene import Scene
 from synthcam_shared.errors import InputError
 from synthcam_shared.job_result import LostJob
@@ -115,12 +116,13 @@ def write_shards(plan: ShardPlan, folder: Path, workers: int, progress: Progress
         there = {path.name for path in folder.iterdir()}
         todo = [shard for shard in plan.shards if plan.name(shard) not in there]
         done = sum(len(plan.clips_of(shard)) for shard in plan.shards if plan.name(shard) in there)
-        progress(done, plan.clips or 0)
         frames, left_out = 0, list[str]()
         work = partial(_write_in_worker, plan, list_added_folders(), folder.absolute())
         endless = plan.clips is None  # then in order of their numbers, without a trial of the last ones
+        jobs = run_jobs(work, todo, workers or (count_cores() if endless else 0), fork=not has_opengl_started())
+        progress(done, plan.clips or 0)  # afterwards: a bar on a terminal has a thread
         try:
-            for result in run_jobs(work, todo, workers or (count_cores() if endless else 0)):
+            for result in jobs:
                 if isinstance(result, LostJob):
                     raise InputError(f"{folder}: shard {result.number}: {result.reason}")
                 made, lines = result.value

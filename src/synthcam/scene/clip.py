@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import sys
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -399,6 +400,11 @@ def _make_renderer(matte: bool, optics: bytes) -> Any:
     from synthcam.camera.render import MirrorRenderer  # here alone: everything else works without OpenGL
 
     return MirrorRenderer(**pickle.loads(optics))
+
+
+def has_opengl_started() -> bool:
+    """Tell whether OpenGL may have started in this process, which must not be copied then."""
+    return "synthcam.camera.render" in sys.modules
 
 
 def _lower(lamp: Lamp, by: float) -> Lamp:
