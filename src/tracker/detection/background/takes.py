@@ -28,11 +28,11 @@ class FilmTakes:
             cut = ", ".join(f"{a} to {b}" for a, b in self.spans[:12]) + (", ..." if len(self.spans) > 12 else "")
             notes.append(f"the film has {len(self.spans)} takes, each tracked on its own: frames {cut}")
         if self.repeated:
-            first, less = min(self.repeated), "with less than a fifth of the usual change"
+            first, less = min(self.repeated), "the previous one, with less than a fifth of the usual change,"
             notes.append(
-                f"{len(self.repeated)} frames nearly repeat the previous one, {less}, and are left out, frame {first} first"
+                f"{len(self.repeated)} frames nearly repeat {less} and are left out, frame {first} first"
                 if len(self.repeated) > 1
-                else f"frame {first} nearly repeats the previous one, {less}, and is left out"
+                else f"frame {first} nearly repeats {less} and is left out"
             )
         return notes
 
