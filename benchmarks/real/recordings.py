@@ -135,6 +135,8 @@ def _nearest(one: pd.DataFrame, two: pd.DataFrame) -> float:
 
 # --- pucks and discs on air ---
 
+PUCK_HZ = 500.0
+
 
 def read_pucks(clone: Path, before: int = 90, after: int = 110, step: int = 2) -> list[RecordedHit]:
     """Read the hits of two pucks of 50 mm, by the middles of three markers on each.
@@ -142,18 +144,28 @@ def read_pucks(clone: Path, before: int = 90, after: int = 110, step: int = 2) -
     Their files name the pucks in any order. Particle 0 is the one whose markers are 42.1 mm apart at most, particle 1
     that of 44.0 mm. The scales say 28.73 and 28.19 g, but not which is which.
     """
-    camera = {"size": [1000, 1000], "fps": 500 / step, "scale": 1e-3, "exposure": 0.0, "ball_diameter": 0.05}
+    camera = {"size": [1000, 1000], "fps": PUCK_HZ / step, "scale": 1e-3, "exposure": 0.0, "ball_diameter": 0.05}
     hits = []
-    for file in _list_files(clone, "src/RAW_DATA/del2/centers"):
-        if not re.fullmatch(r".*/centers/Measurement\d+\.tsv\.csv", file):
-            continue
-        table = pd.read_csv(io.BytesIO(_read_blob(clone, file)))
-        order = "ab" if _longest_side(clone, file) < 43.0 else "ba"
-        a, b = (table[[f"c_{k}_x", f"c_{k}_y"]].to_numpy(np.float64) for k in order)
-        rows = _cut_around_contact(a, b, 500.0, before, after, step)
+    for name, (a, b) in _read_puck_tables(clone):
+        rows = _cut_around_contact(a[:, :2], b[:, :2], PUCK_HZ, before, after, step)
         if rows is not None:
-            hits.append(RecordedHit(Path(file).name.split(".")[0], rows, camera))
+            hits.append(RecordedHit(name, rows, camera))
     return hits
+
+
+def read_puck_angles(clone: Path) -> dict[str, tuple[Floats, Floats]]:
+    """Read the directions in which particles 0 and 1 of each hit point, rad, PUCK_HZ times a second."""
+    return {name: (np.unwrap(a[:, 2]), np.unwrap(b[:, 2])) for name, (a, b) in _read_puck_tables(clone)}
+
+
+def _read_puck_tables(clone: Path) -> Iterator[tuple[str, tuple[Floats, Floats]]]:
+    """Iterate over the names of hits with x and y, m, and angles of both pucks (n, 3)."""
+    for file in _list_files(clone, "src/RAW_DATA/del2/centers"):
+        if re.fullmatch(r".*/centers/Measurement\d+\.tsv\.csv", file):
+            table = pd.read_csv(io.BytesIO(_read_blob(clone, file)))
+            order = "ab" if _longest_side(clone, file) < 43.0 else "ba"
+            a, b = (table[[f"c_{k}_x", f"c_{k}_y", f"ang_{k}"]].to_numpy(np.float64) for k in order)
+            yield Path(file).name.split(".")[0], (a, b)
 
 
 def _longest_side(clone: Path, file: str) -> float:
@@ -169,7 +181,7 @@ def _longest_side(clone: Path, file: str) -> float:
 def read_discs(clone: Path, series: tuple[int, ...] = (5, 6, 7)) -> list[RecordedHit]:
     """Read the hits of weighed discs; the names of the files have their masses, g.
 
-    Series 7 has springs. The discs of series 5 have tape and stick; their diameter is their distance in the end.
+    Series 7 has springs. The discs of series 5 have tape and stick; their diameter is their distance after the hit.
     """
     hits = []
     for number in series:
@@ -192,7 +204,9 @@ def _read_disc_file(clone: Path, file: str, taped: bool) -> Iterator[RecordedHit
     if rows is None:
         return
     apart = np.hypot(*(a - b).T)
-    touch = round(float(np.nanmedian(apart[-60:]) if taped else np.nanmin(apart)), 4)  # of discs of different sizes
+    at = int(np.nanargmin(apart))
+    stuck = apart[at + 40 : at + 126]  # tape swings first
+    touch = round(float(np.nanmedian(stuck) if taped else np.nanmin(apart)), 4)  # of discs of different sizes
     camera = {"size": [1000, 1000], "fps": rate / 2, "scale": 1e-3, "exposure": 0.0, "ball_diameter": touch}
     yield RecordedHit(Path(file).stem, rows, camera | {"ball_masses": masses})
 

@@ -64,6 +64,7 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[
         offset = float(launch[1] * gap[0] - launch[0] * gap[1]) / (speed * diameter)
         speed_std = float(np.hypot(s1, s2))
         drift, drift_std = parts[0]
+        parting = measure_first_parting(apart[inside:end] - diameter, noise) / float(np.median(np.diff(time)))
         leave = all(v > parting_sigma * std for v, std in parts)
         yield StayingPair(
             struck=struck,
@@ -75,30 +76,34 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[
             speed_std=speed_std,
             offset=offset,
             offset_std=float(np.hypot(noise / np.sqrt(len(early)), speed_std / speed * np.hypot(*gap)) / diameter),
-            r_std=float(np.hypot(drift, drift_std) / abs(closing)),
-            bounces=leave or bounces_first(apart[inside:end] - diameter, noise),
+            r_std=float(np.linalg.norm([drift, drift_std, parting]) / abs(closing)),
+            bounces=leave or parting > limit,
         )
 
 
-def bounces_first(excess: Array, noise: float) -> bool:
-    """Decide whether balls that end up staying together part first, as rolling ones of r near .4 do.
+def measure_first_parting(excess: Array, noise: float) -> float:
+    """Measure how fast balls that end up staying together part first, as rolling ones of r near .4 do, m per frame.
 
     Tape swings out for as long as the balls were nearer than a diameter. Plate friction takes longer to stop balls that
-    part, and their separation grows all the while. excess: of the separation over the diameter from the touch on, m.
+    part, and their separation grows all the while. It is 0 if the separation only swings, or grows no more than the
+    noise. excess: of the separation over the diameter from the touch on, m.
     """
     smoothed_frames = 5  # over which the separation is averaged
     mean = np.convolve(excess, np.ones(3) / 3, "valid")
     within = int(np.argmax(mean > 0)) if (mean > 0).any() else len(mean)
     outside = excess[within:]
     if len(outside) < smoothed_frames:
-        return False
+        return 0.0
     smooth = np.convolve(outside, np.ones(smoothed_frames) / smoothed_frames, "valid")
     swing = int(np.argmax(smooth < 0)) if (smooth < 0).any() else len(outside)
     first = max(3, within)
     if swing <= 2 * within + 3 or len(outside) <= first:
-        return False
-    rise = float(smooth[: max(swing, 1)].max() - outside[:first].mean())
-    return bool(rise > 4 * noise * np.sqrt(1 / smoothed_frames + 1 / first))
+        return 0.0
+    rises = smooth[: max(swing, 1)] - outside[:first].mean()
+    rise = float(rises.max())
+    if not rise > 4 * noise * np.sqrt(1 / smoothed_frames + 1 / first):
+        return 0.0
+    return rise / (1 + int(np.argmax(rises > 0.9 * rise)))  # later frames may only be noise
 
 
 def fit_slope(time: Array, apart: Array, noise: float) -> tuple[float, float]:

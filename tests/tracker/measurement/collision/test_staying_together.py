@@ -7,6 +7,8 @@ import pytest
 from tracker_contacts import SoftHit
 
 import tracker
+from tracker.measurement.collision.staying_together import find_staying_pairs, measure_first_parting
+from tracker.measurement.positions import BallTrack
 from tracker.report.estimates_text import format_for_terminal
 
 pytestmark = pytest.mark.usefixtures("not_local")
@@ -42,6 +44,31 @@ def test_the_answer_names_the_frames():
     text = "\n".join(format_for_terminal(table))
     assert "stay together from frame" in text
     assert "coefficient of restitution" in text
+
+
+@pytest.mark.parametrize("r", [0.4, 0.1, 0.01])
+def test_friction_stops_balls_that_part(r):
+    """They come 1 mm nearer from frame to frame. After the hit they part with r of that, and rest after 20 frames."""
+    frames, noise = np.arange(60.0), 0.002
+    until = np.minimum(frames, 20)
+    excess = r * (until - until**2 / 40) + np.random.default_rng(1).normal(0, noise, 60)
+    excess[:2] = -0.5
+    assert r / 2 < measure_first_parting(excess, noise) < 1.5 * r
+
+
+@pytest.mark.parametrize(("r", "bounces"), [(0.01, False), (0.4, True)])
+def test_a_slow_parting_is_an_error_of_bodies_that_stay_together(r, bounces):
+    """Discs in tape turn, so that their distance grows by more than the noise."""
+    frames, step, noise, diameter = np.arange(90), 2e-4, 2e-7, 0.05
+    since = np.clip(frames - 30, 0, 20)
+    apart = diameter - step * np.minimum(frames - 30.5, 0) + step * r * (since - since**2 / 40)
+    apart[30:32] -= step / 2
+    rng, cov = np.random.default_rng(2), np.tile(noise**2 * np.eye(2), (90, 1, 1))
+    ways = [np.column_stack([x, 0 * x]) + rng.normal(0, noise, (90, 2)) for x in (0 * apart, -apart)]
+    tracks = [BallTrack(k, frames, frames * 2e-3, way, cov, 0.0) for k, way in enumerate(ways)]
+    [pair] = find_staying_pairs(*tracks, diameter)
+    assert pair.bounces == bounces
+    assert pair.r_std > r / 2
 
 
 @pytest.mark.parametrize("r", [0.2, 0.5, 0.9])
