@@ -113,6 +113,8 @@ class Discs:
         self.relative_radius_std = 0.0
         self.true_to_fitted_radius = 1.0
         areas = [self._survey(k, np.asarray(view.frames[k]), tally) for k in survey]
+        if not any(areas):
+            areas = [self._survey_rim(k, np.asarray(view.frames[k])) for k in survey]
         self.radii, self.contrast = self._usual_radius(areas, given if knows_radius else None)
         self.low = max(self.low, 0.2 * self.contrast)  # fainter objects are not balls
         for scene, numbers in samples.items():
@@ -362,6 +364,13 @@ class Discs:
         tally.note_surveyed()
         seen = _SeenFrame.of(frame, self.scenes[self.scene_of[number]])
         return [area for area in self._find_areas(seen, tally) if not area[0].touches_rim(frame.shape)]
+
+    def _survey_rim(self, number: int, frame: NDArray[Any]) -> list[ContrastArea]:
+        """The regions of a frame at the picture's rim that it hardly cuts, as of a ball that rolls along it."""
+        max_axes = 1.1  # long half axis over short one
+        areas = self._find_areas(_SeenFrame.of(frame, self.scenes[self.scene_of[number]]), _Tally())
+        parts = [(area, self._split([area])) for area in areas]
+        return [area for area, one in parts if len(one) == 1 and one[0].area < max_axes * np.pi * one[0].minor ** 2]
 
     def _is_disc(self, region: ContrastRegion, radius: float) -> bool:
         return region.is_disc(radius, self.settings.disc_radius_tolerance, self.elongated)

@@ -8,6 +8,7 @@ from tracker_film import CAMERA as GLINT_CAMERA
 import tracker
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
+from tracker.camera.recordings import make_recording
 from tracker.detection.background.still_background import estimate_still_background
 from tracker.detection.choose import SelectedDetector
 from tracker.detection.detect import detect, make_view
@@ -64,6 +65,18 @@ def test_a_ball_that_looks_oblong_in_a_part_of_the_picture_is_found_there(ball):
     found = detect(clip, make_view(clip, "discs"), "discs").glints
     assert found.frame.tolist() == list(range(50))
     assert np.hypot(*(found.xy - places).T).max() < 0.5
+
+
+@pytest.mark.parametrize("sunk", [0.0, 0.5])
+def test_a_ball_that_rolls_along_the_rim_of_the_picture_is_found(sunk):
+    """Its outline touches the rim in all frames, or the rim cuts half a pixel off it."""
+    rng, ground, radius = np.random.default_rng(7), plate(np.random.default_rng(8)), 24.0
+    places = np.linspace([30.0, SIZE[0] - 0.5 - radius + sunk], [170.0, SIZE[0] - 0.5 - radius + sunk], 50)
+    pictures = film(rng, places[None], ground=ground, radius=radius)
+    clip = make_recording(0, wrap_frames(pictures), None)  # nothing says how large it is
+    found = detect(clip, make_view(clip, "discs"), "discs").glints
+    assert found.frame.tolist() == list(range(50))
+    assert np.hypot(*(found.xy - places).T).max() < 0.2
 
 
 def test_dim_discs_in_noise_are_all_found():
