@@ -11,8 +11,13 @@ from tracker.measurement.local.local_estimate import LOCAL_NAMES, VELOCITIES, Lo
 AT = {name: k for k, name in enumerate(LOCAL_NAMES)}
 
 
-def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002, shared=(), settings=None, adequate=0.5):
-    """Rows of head-on hits with r = 0.8, whose velocities have errors in proportion to the speed."""
+def draw_rows(
+    hits, error_n, error_t, bias, seed=0, residual=0.002, shared=(), settings=None, adequate=0.5, allowed=0.0
+):
+    """Rows of head-on hits with r = 0.8, whose velocities have errors in proportion to the speed.
+
+    allowed: m/s, error of each velocity that what is known of the motions allows for, and that none of them has.
+    """
     rng, rows = np.random.default_rng(seed), []
     for _ in range(hits):
         v0 = rng.uniform(0.5, 2.0)
@@ -33,8 +38,11 @@ def draw_rows(hits, error_n, error_t, bias, seed=0, residual=0.002, shared=(), s
         for name, v in (("v0", v0), ("r", (v1o[0] - v2o[0]) / closing), ("mass_ratio", (v2i[0] - v2o[0]) / v1o[0])):
             value[AT[name]] = v
         value[AT["balance_n"]], value[AT["balance_t"]] = balance
-        cov = np.nan_to_num(response @ response.T) * residual**2
+        unit = np.nan_to_num(response @ response.T)
+        cov, known = unit * (residual**2 + allowed**2), unit * allowed**2
         estimate = LocalEstimate(value, cov, response, v0, 10.0, 10.0, adequate, True, frozenset(), True)
+        if allowed:
+            estimate = replace(estimate, cov_of_known=known)
         for key, name, share in shared:  # an error of the camera file that changes a quantity by this share
             effect = np.eye(len(value))[AT[name]] * share * value[AT[name]]
             wider = estimate.cov + np.outer(effect, effect)

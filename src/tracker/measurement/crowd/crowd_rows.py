@@ -143,7 +143,8 @@ def _estimate_in_steps(
             prepared = replace(prepared, pair=replace(pair, target_moves=True))
         slips = _know_slips(members, contact, found, own)
         before = [(SLIDE_AND_ROLL,) if slid else usual for slid, usual in zip(sliding, BEFORE, strict=True)]
-        return prepared, (yield from estimate_in_steps(prepared, camera, (1.0, 1.0), slips, ends, before))
+        fit = estimate_in_steps(prepared, camera, (1.0, 1.0), slips, ends, before, of_crowd=True)
+        return prepared, (yield from fit)
     except (ArithmeticError, ValueError, IndexError) as error:  # one contact never costs the others
         return None, describe_failure(error)
 

@@ -193,6 +193,16 @@ def follow_displacements(solution: LocalSolution, moved: Sequence[Array]) -> Arr
     return np.asarray(pull @ solution.cov)
 
 
+def find_covariances_of_known(solutions: Sequence[LocalSolution]) -> list[Array]:
+    """Find the part of the covariance (n, n) of each solution that errors of what is known make, not of positions."""
+    out, alone = list[Array](), np.zeros(1, dtype=np.int64)
+    for one in solutions:
+        _, by = ProblemStack([one.problem], np.array([one.sizes]))._weigh_known(one.x[None], alone)
+        through = by[0] @ one.cov
+        out.append(through.T @ through)
+    return out
+
+
 def solve_each(square: Array, pull: Array) -> Array:
     """Solve the linear systems (m, n, n) of local fits; NaN of a singular one, whose step is then rejected."""
     try:

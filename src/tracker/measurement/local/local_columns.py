@@ -6,6 +6,9 @@ residuals times a factor. Each component of each velocity has a further error th
 hit. Along the line of centres there is a bias that is proportional to the normal speed. In one recording the factor is
 1 and that error is a prior. In a set they are fitted: the factor where errors are larger in hits that are measured less
 well.
+
+The fits of short stretches assume, within allowances, what is known of the motions, such as equal friction along all
+paths. In a crowd the balances also show the size of these allowances.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -45,6 +48,7 @@ class LocalErrors:
     factor: float = 1.0  # on the errors of velocities by the residuals
     log_ratio: float = 0.0  # logarithm of the mass of the first particle over that of the second, beyond what is given
     log_ratio_std: float = 0.0
+    allowances: float = 1.0  # size of the errors of what is known of the motions of a crowd, over the assumed one
     mass_excess: float = 0.0  # the same logarithm where masses are given, which recoil contradicts by this
     hits: int = 0  # from which these are fitted; 0: a prior
 
@@ -55,7 +59,8 @@ def make_empty_columns() -> dict[str, Any]:
     for column in COLUMNS:
         row[column] = row[f"{column}_std"] = np.nan
     row |= {"chi2_local": np.nan, "dof_local": np.nan, "misfit_local": False, "motion_local": "", "local": "{}"}
-    row |= dict.fromkeys(("local_bias", "local_error_n", "local_error_t", "local_factor"), np.nan) | {"local_hits": 0}
+    row |= dict.fromkeys(("local_bias", "local_error_n", "local_error_t", "local_factor", "local_allowances"), np.nan)
+    row |= {"local_hits": 0}
     return row | {"local_shared": "{}", "recommended": "none", "why": ""}
 
 
@@ -77,13 +82,16 @@ def make_local_columns(
     at = [LOCAL_NAMES.index(name) for name in VELOCITIES]
     response = np.nan_to_num(estimate.response[:, :8])
     turn = response[at]  # of components along n and t to those along x and y
-    cov = turn.T @ np.nan_to_num(estimate.cov[np.ix_(at, at)]) @ turn
-    # the part of the errors that velocities make; the rest is that of places, as the line of centres
-    velocity_std = np.sqrt(np.maximum(((response @ cov) * response).sum(axis=1), 0.0))
+
+    def find_velocity_std(cov: Array) -> Array:
+        """The part of errors that velocities make; the rest is that of places, as the line of centres."""
+        of_velocities = turn.T @ np.nan_to_num(cov[np.ix_(at, at)]) @ turn
+        return np.asarray(np.sqrt(np.maximum(((response @ of_velocities) * response).sum(axis=1), 0.0)))
+
     raw = {
         "value": _rounded(estimate.value),
         "std": _rounded(estimate.std),
-        "velocity_std": _rounded(velocity_std),
+        "velocity_std": _rounded(find_velocity_std(estimate.cov)),
         "r_std": _rounded(estimate.std[[LOCAL_NAMES.index("r")]])[0],
         "response": [_rounded(line) for line in estimate.response],
         "cov": [_rounded(line) for line in estimate.cov[np.ix_(_COMPARED, _COMPARED)]],
@@ -96,6 +104,9 @@ def make_local_columns(
         "masses_known": masses_known,
         "foreign": foreign,
     }
+    if estimate.cov_of_known is not None:
+        raw["known_std"] = _rounded(np.sqrt(np.maximum(np.diag(estimate.cov_of_known), 0.0)))
+        raw["known_velocity_std"] = _rounded(find_velocity_std(estimate.cov_of_known))
     row = make_empty_columns() | {"local": json.dumps(raw, separators=(",", ":"))}
     row |= {"chi2_local": estimate.chi2, "dof_local": estimate.dof}
     row["misfit_local"] = bool(estimate.adequate < settings.rejection_level)
@@ -129,11 +140,11 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
     response, by_mass = np.split(np.nan_to_num(np.array(raw["response"], dtype=np.float64)), [8], axis=1)
     size = raw["v0"] * np.tile([errors.error_n, errors.error_t], 4)
     common = _list_common_errors(row, errors, response, by_mass[:, 0])
-    fixed, widened = _split_variances(raw)
+    fixed, widened = _split_variances(raw, errors.allowances)
     by_residuals = fixed + errors.factor**2 * widened
     by_set = sum(effect**2 for _, effect in common.values())
     wide = np.sqrt(by_residuals + ((response * size) ** 2).sum(axis=1) + by_set)
-    shared = raw["shared"] | _name_effects(common)
+    shared = _scale_slides(raw, fixed + widened) | _name_effects(common)
     role = _role(row)
     value = value + by_mass[:, 0] * role * errors.log_ratio
     if errors.log_ratio_std > 0:  # all hits have one ratio, and its error is the only one
@@ -155,16 +166,31 @@ def apply_errors(row: Mapping[str, Any], errors: LocalErrors) -> dict[str, Any]:
         known = name not in raw["unseen"] and np.isfinite(value[k]) and wide[k] <= limit and not folded
         out[column], out[f"{column}_std"] = (float(value[k]), float(wide[k])) if known else (np.nan, np.nan)
     out |= {"local_bias": errors.bias_n, "local_error_n": errors.error_n, "local_error_t": errors.error_t}
-    out |= {"local_factor": errors.factor, "local_hits": errors.hits}
+    out |= {"local_factor": errors.factor, "local_allowances": errors.allowances, "local_hits": errors.hits}
     return out | {"local_shared": json.dumps(shared, separators=(",", ":"))}
 
 
-def _split_variances(raw: Mapping[str, Any]) -> tuple[Array, Array]:
+def _scale_slides(raw: Mapping[str, Any], variances: Array) -> dict[str, dict[str, Any]]:
+    """The shared errors of a hit, with that of the model of slides in proportion to the errors without it."""
+    shared = dict(raw["shared"])
+    if "slides" in shared:
+        shrinks = np.sqrt(variances / np.maximum(np.array(raw["std"], dtype=np.float64) ** 2, 1e-300))
+        effect = shared["slides"]["effect"]
+        shrunk = {name: float(shrinks[LOCAL_NAMES.index(name)]) * size for name, size in effect.items()}
+        shared["slides"] = shared["slides"] | {"effect": shrunk}
+    return shared
+
+
+def _split_variances(raw: Mapping[str, Any], allowances: float = 1.0) -> tuple[Array, Array]:
     """Split variances (n,) by residuals and camera into what the factor does not widen, and what it does.
 
-    It widens the part that velocities make without the errors of the camera.
+    It widens the part that velocities make without the errors of the camera. allowances: as in `LocalErrors`.
     """
     std, of_velocities = (np.array(raw[key], dtype=np.float64) for key in ("std", "velocity_std"))
+    if "known_std" in raw:
+        known, known_velocities = (np.array(raw[key], dtype=np.float64) for key in ("known_std", "known_velocity_std"))
+        std = np.sqrt(np.maximum(std**2 + (allowances**2 - 1) * known**2, 0.0))
+        of_velocities = np.sqrt(np.maximum(of_velocities**2 + (allowances**2 - 1) * known_velocities**2, 0.0))
     effects = np.array([[block["effect"].get(name, 0.0) for name in LOCAL_NAMES] for block in raw["shared"].values()])
     of_camera = (np.reshape(effects, (-1, len(std))) ** 2).sum(axis=0)
     widened = np.clip(of_velocities**2 - of_camera, 0.0, std**2)
@@ -177,8 +203,11 @@ def find_covariance(row: Mapping[str, Any]) -> Array:
     The factor widens the errors, as in the columns, and leaves their correlations.
     """
     raw = json.loads(row["local"])
-    fixed, widened = (np.nan_to_num(part[_COMPARED]) for part in _split_variances(raw))
-    growth = np.sqrt((fixed + row["local_factor"] ** 2 * widened) / np.maximum(fixed + widened, 1e-300))
+    fixed, widened = (
+        np.nan_to_num(part[_COMPARED]) for part in _split_variances(raw, row.get("local_allowances", 1.0))
+    )
+    claimed = np.nan_to_num(np.array(raw["std"], dtype=np.float64)[_COMPARED]) ** 2
+    growth = np.sqrt((fixed + row["local_factor"] ** 2 * widened) / np.maximum(claimed, 1e-300))
     by_residuals = growth[:, None] * np.nan_to_num(np.array(raw["cov"], dtype=np.float64)) * growth
     response = np.nan_to_num(np.array(raw["response"], dtype=np.float64))[_COMPARED, :8]
     spread = [response * raw["v0"] * np.tile([row["local_error_n"], row["local_error_t"]], 4)]
@@ -243,6 +272,10 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> Loca
         without, price_without = balances.fit(levers[:, :1])
         if price > price_without - 3.0**2 / 2:
             best, levers, recoil = without, levers[:, :1], []
+    allowances = balances.find_allowances(levers, best)
+    if allowances != balances.allowances:
+        balances = replace(balances, allowances=allowances)
+        best, _ = balances.fit(levers)
     logs, excess = balances.average(levers, best)
     doubt = np.sqrt(np.diag(np.linalg.inv((levers / balances.find_variance(logs, excess)[:, :1]).T @ levers)))
     errors = LocalErrors(
@@ -253,6 +286,7 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> Loca
         factor=float(np.hypot(1.0, excess)),
         hits=len(usable),
     )
+    errors = replace(errors, allowances=allowances)
     if recoil and any(raw["masses_known"] for raw in found):
         return replace(errors, mass_excess=-float(best[1]))
     if recoil:
@@ -293,7 +327,8 @@ def _is_disturbed(row: Mapping[str, Any]) -> bool:
     return bool(row.get("status") == CROWD and row.get("misfit_local", False))
 
 
-class _Balances(NamedTuple):
+@dataclass(frozen=True)
+class _Balances:
     """The balances of momentum of the hits of a set, along n and t, and how likely errors beyond the residuals are.
 
     Each balance has the variance of its residuals and of these errors. A wide prior about the errors of one recording
@@ -306,7 +341,9 @@ class _Balances(NamedTuple):
     widened: Array  # (hits, 2) variances by the residuals of velocities
     spread: Array  # (hits, 2) of a balance by errors of each velocity as large as v0
     v0: Array  # (hits,)
+    known: tuple[Array, Array]  # (hits, 2) of both variances, the parts by errors of what is known of the motions
     usual: float  # logarithm of the errors over v0 that one recording is assumed to have
+    allowances: float = 1.0  # as in LocalErrors
 
     @staticmethod
     def of(found: Sequence[Mapping[str, Any]]) -> tuple[_Balances, Array]:
@@ -314,17 +351,23 @@ class _Balances(NamedTuple):
         at = [LOCAL_NAMES.index(name) for name in BALANCE]
         off = np.array([[raw["value"][k] for k in at] for raw in found])
         fixed, widened = np.array([_split_variances(raw) for raw in found])[..., at].swapaxes(0, 1)
+        without = np.array([_split_variances(raw, 0.0) for raw in found])[..., at].swapaxes(0, 1)
         v0 = np.array([raw["v0"] for raw in found])
         response = np.nan_to_num(np.array([[raw["response"][k] for k in at] for raw in found], dtype=np.float64))
         sizes = (response[:, axis, axis:8:2] for axis in (0, 1))
         spread = np.stack([np.sqrt((part**2).sum(-1)) for part in sizes], -1) * v0[:, None]
         least = 1e-4  # error of a velocity over that of the hit, where a setting says that there is none
         usual = float(np.log(max(np.median([raw["prior"] for raw in found]), least)))
-        return _Balances(off, fixed, widened, spread, v0, usual), response[:, 0, 8]
+        known = (fixed - without[0], widened - without[1])
+        return _Balances(off, fixed, widened, spread, v0, known, usual), response[:, 0, 8]
 
     def find_variance(self, logs: Array, excess: Array | float) -> Array:
         """Variances (..., hits, 2); logs: of both errors over v0; excess: of the errors of residuals, over them."""
-        return np.asarray(self.fixed + (1 + excess**2) * self.widened + (np.exp(logs) * self.spread) ** 2)
+        fixed, widened = (
+            part + (self.allowances**2 - 1) * known
+            for part, known in zip((self.fixed, self.widened), self.known, strict=True)
+        )
+        return np.asarray(fixed + (1 + excess**2) * widened + (np.exp(logs) * self.spread) ** 2)
 
     def weigh(self, logs: Array, excess: Array, levers: Array, lever_sizes: Array) -> Array:
         """Logarithms (..., 2) of the probabilities of the balances along n and t, with those of what is known."""
@@ -353,6 +396,24 @@ class _Balances(NamedTuple):
         )
         best = min(tries, key=lambda m: float(m.fun))
         return np.asarray(best.x[3:], dtype=np.float64), float(best.fun)
+
+    def find_allowances(self, levers: Array, lever_sizes: Array) -> float:
+        """Find the root mean square of `allowances` over all that fit; its prior is the half of a normal one.
+
+        The prior mean square is 1, so that few hits keep the errors that they have alone.
+        """
+        if not any(part.any() for part in self.known):
+            return self.allowances
+        tried = np.linspace(0.0, 3.0, 31)
+        logs = np.linspace(self.usual - 4 * PRIOR_WIDTH, self.usual + 4 * PRIOR_WIDTH, 17)[:, None] * np.ones(2)
+        excess = np.linspace(0.0, 4 * USUAL_EXCESS, 17)[:, None, None, None]
+        parts = [
+            replace(self, allowances=float(each)).weigh(logs[:, None], excess, levers, lever_sizes) for each in tried
+        ]
+        along = np.logaddexp.reduce(np.array(parts), axis=2)  # (tried, excess, 2)
+        chance = np.logaddexp.reduce(along.sum(axis=-1), axis=1) - tried**2 / 2
+        weights = np.exp(chance - chance.max())
+        return float(np.sqrt(weights @ tried**2 / weights.sum()))
 
     def average(self, levers: Array, lever_sizes: Array) -> tuple[Array, float]:
         """The means of the logarithms of both errors, and the root mean square of the excess, over all that fit."""

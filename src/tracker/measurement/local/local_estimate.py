@@ -17,7 +17,12 @@ from tracker.measurement.collision.collision_model import AFTER, FREE, GRAVITY
 from tracker.measurement.collision.contacts import Contact, guess_launch
 from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_each_ball, dot, make_ball_average
 from tracker.measurement.collision.staying_together import fit_slope
-from tracker.measurement.local.descents import FitInSteps, follow_displacements, run_alone
+from tracker.measurement.local.descents import (
+    FitInSteps,
+    find_covariances_of_known,
+    follow_displacements,
+    run_alone,
+)
 from tracker.measurement.local.local_fit import (
     BEFORE,
     MAX_RESIDUAL_CLAIMED,
@@ -64,6 +69,8 @@ class LocalEstimate:
     chi2, dof, adequate: of the positions by the errors before the residuals widen them, and the p-value. Without
     claimed errors these are those of the scatter from frame to frame.
     shared: by key of the camera file that has an error, its value, and the effect (n,) of one standard error.
+    cov_of_known: of a contact of a crowd, the part of the covariance that errors of what is known of the motions make,
+    not those of positions.
     """
 
     value: Array
@@ -77,6 +84,7 @@ class LocalEstimate:
     unseen: frozenset[str]
     errors_known: bool  # whether the tracks claim errors of positions that their scatter does not contradict
     shared: dict[str, tuple[float, Array]] = field(default_factory=dict)
+    cov_of_known: Array | None = None
 
     @property
     def std(self) -> Array:
@@ -96,6 +104,8 @@ def estimate_in_steps(
     slips: KnownSlips | None = None,
     ends: tuple[KnownEnd | None, KnownEnd | None] = (None, None),
     before: Sequence[Sequence[MotionKind]] = BEFORE,
+    *,
+    of_crowd: bool = False,
 ) -> FitInSteps[LocalEstimate | str]:
     """Estimate one collision from free motion near the contact, or give the reason why that is impossible.
 
@@ -103,6 +113,7 @@ def estimate_in_steps(
     slips: of ball 1 and ball 2 after the contact, if they are known.
     ends: of the slides of ball 1 and ball 2 before the contact, if other contacts show them.
     before: motions that ball 1 and ball 2 may have on a plate before the contact.
+    of_crowd: find `cov_of_known`, because many contacts show how large that part is.
     """
     instant = _guess_instant(contact, camera)
     if _stay_together(contact, instant):
@@ -122,7 +133,7 @@ def estimate_in_steps(
     if not camera.support and any(one.problem.dry for _, one in fit.mixture):
         dry = yield from _fit_stretches(contact, replace(camera, support="sliding"), instant, known, before)
         fit = fit if isinstance(dry, str) else _put_dry_fit(fit, dry)
-    return _read_values(fit.claimed, fit.mixture, contact, camera, masses)
+    return _read_values(fit.claimed, fit.mixture, contact, camera, masses, of_crowd=of_crowd)
 
 
 class LocalFit(NamedTuple):
@@ -262,6 +273,8 @@ def _read_values(
     contact: Contact,
     camera: Camera,
     masses: tuple[float, float],
+    *,
+    of_crowd: bool,
 ) -> LocalEstimate:
     """The estimate as a mean over the motions that the positions allow.
 
@@ -269,9 +282,15 @@ def _read_values(
     """
     noise_dof, weights = contact.pair.striker.noise_dof, np.array([weight for weight, _ in solutions])
     read = _read_solutions([each for _, each in solutions], camera, masses)
-    each, covs, responses, effects = (np.stack(part) for part in zip(*read, strict=True))
+    values, every_cov, slopes, *others = zip(*read, strict=True)
+    each, covs, responses, effects = (np.stack(part) for part in (values, every_cov, *others))
     value = weights @ each
     off = np.nan_to_num(each - value) * np.sqrt(weights)[:, None]
+    cov_of_known = None
+    if of_crowd:
+        of_known = find_covariances_of_known([one for _, one in solutions])
+        parts = [slope @ part @ slope.T for slope, part in zip(slopes, of_known, strict=True)]
+        cov_of_known = np.tensordot(weights, np.stack(parts), 1) + off.T @ off
     v0, b = (value[LOCAL_NAMES.index(name)] for name in ("v0", "b"))
     shared = zip(_list_errors(camera), np.tensordot(weights, effects, 1), strict=True)
     return LocalEstimate(
@@ -286,15 +305,19 @@ def _read_values(
         unseen=frozenset(name for _, one in solutions for name in _list_unseen(one)),
         errors_known=bool(np.isinf(noise_dof)),
         shared={error.key: (error.value, effect) for error, effect in shared},
+        cov_of_known=cov_of_known,
     )
 
 
 def _read_solutions(
     solutions: Sequence[LocalSolution], camera: Camera, masses: tuple[float, float]
-) -> list[tuple[Array, Array, Array, Array]]:
-    """Values of solutions of one hit, their covariances, responses, and effects (k, n) of errors of the camera file."""
+) -> list[tuple[Array, Array, Array, Array, Array]]:
+    """Values of solutions of one hit, covariances, derivatives by the parameters, responses, and effects of the camera.
+
+    The effects (k, n) are those of errors of the camera file.
+    """
     mass_step = 1e-4  # of the logarithm of the mass ratio, for derivatives
-    out = dict[int, tuple[Array, Array, Array, Array]]()
+    out = dict[int, tuple[Array, Array, Array, Array, Array]]()
     numbers = sorted(range(len(solutions)), key=lambda i: solutions[i].problem.motions)
     for _, same in groupby(numbers, key=lambda i: solutions[i].problem.motions):
         own = list(same)  # quantities are computed at once: most of the time is that of numpy's calls
@@ -314,7 +337,7 @@ def _read_solutions(
 
 def _propagate_errors(
     solution: LocalSolution, camera: Camera, value: Array, slope: Array, by_mass: Array
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array]:
     """Values of one solution with what follows from its errors, as of `_read_solutions`.
 
     slope: derivatives of the quantities by the parameters. by_mass: by the logarithm of the mass ratio.
@@ -336,7 +359,7 @@ def _propagate_errors(
     value[merge[:, unknown].any(axis=1)] = np.nan
     effects = np.array([slope @ shift for shift in _camera_shifts(solution, camera)]).reshape(-1, len(slope))
     cov = slope @ solution.cov @ slope.T + effects.T @ effects
-    return value, cov, np.column_stack([slope @ shifts, by_mass]), effects
+    return value, cov, slope, np.column_stack([slope @ shifts, by_mass]), effects
 
 
 def _list_errors(camera: Camera) -> list[CameraError]:

@@ -10,6 +10,8 @@ from tracker.measurement.local import descents
 from tracker.measurement.local.descents import (
     Descent,
     ProblemStack,
+    find_covariances_of_known,
+    follow_displacements,
     run_alone,
     run_together,
     solve_descents,
@@ -181,6 +183,24 @@ def test_hits_are_solved_together_as_alone(lasting):
             assert getattr(together, name) == pytest.approx(getattr(alone, name), rel=1e-9, abs=1e-9), name
         assert together.sizes == tuple(descent.sizes)
     assert len({one.cost for [one] in found}) == len(found)
+
+
+def test_errors_of_positions_and_of_what_is_known_make_up_the_covariance():
+    """Errors of single positions, one after the other, move the parameters by the part that is not of what is known."""
+    priors = LocalPriors(DIAMETER, slips=SLIPS, ends=(None, KnownEnd(0.4, 0.2, 0.01, 0.004)))
+    problem = replace(make_problem(1, 8), priors=priors)
+    [[found]] = solve_descents([Descent([problem], guess(problem)[None], [1.3] * 4, steps=30, least_gain=1e-12)])
+    count = 2 * sum(map(len, problem.stretches))
+    errors = (1.3 * NOISE * np.eye(count)).reshape(count, -1, 2)
+    parts = np.split(errors, np.cumsum([len(s) for s in problem.stretches])[:-1], axis=1)
+    changes = follow_displacements(found, parts)
+    std = np.sqrt(np.diag(found.cov))
+    of_positions, of_known = (
+        (part / np.outer(std, std)) for part in (changes.T @ changes, find_covariances_of_known([found])[0])
+    )
+    assert of_positions + of_known == pytest.approx(found.cov / np.outer(std, std), abs=1e-6)
+    assert 0.05 < np.diag(of_known).max() <= 1
+    assert 0.05 < np.diag(of_positions).max() <= 1
 
 
 def test_damping_slows_no_descent_of_a_linear_problem(monkeypatch):

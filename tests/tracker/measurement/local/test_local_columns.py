@@ -77,10 +77,10 @@ def test_few_hits_do_not_make_errors_too_small():
     assert 1.8 < np.mean(factors) < 2.4
 
 
-@pytest.mark.parametrize("factor", [1.0, 3.0])
-def test_the_covariance_has_the_errors_of_the_columns(factor):
-    row = draw_rows(1, 1e-4, 1e-4, 0.0, shared=[("scale", "v0", 0.002)])[0]
-    row |= apply_errors(row, LocalErrors(error_n=1e-4, error_t=1e-4, factor=factor))
+@pytest.mark.parametrize(("factor", "allowances"), [(1.0, 1.0), (3.0, 1.0), (2.0, 0.3)])
+def test_the_covariance_has_the_errors_of_the_columns(factor, allowances):
+    row = draw_rows(1, 1e-4, 1e-4, 0.0, shared=[("scale", "v0", 0.002)], allowed=0.003)[0]
+    row |= apply_errors(row, LocalErrors(error_n=1e-4, error_t=1e-4, factor=factor, allowances=allowances))
     std = [row["v0_local_std"], row["r_local_std"]]
     np.testing.assert_allclose(np.sqrt(np.diag(find_covariance(row)))[[0, 2]], std, rtol=1e-6)
 
@@ -104,6 +104,32 @@ def test_a_bias_below_its_error_is_still_a_common_error(bias):
     table = pd.DataFrame(calibrate_set(rows)).assign(fit="local")
     effect = shared_effects(table, ("balance_n",))[:, 0] / table["v0_local"].to_numpy()[:, None]
     np.testing.assert_allclose(np.linalg.norm(effect, axis=1), np.hypot(errors.bias_n, errors.bias_std), rtol=0.05)
+
+
+def find_rms_z_of_r(rows):
+    return np.sqrt(np.mean([((row["r_local"] - 0.8) / row["r_local_std"]) ** 2 for row in rows]))
+
+
+def test_many_balances_show_that_a_crowd_needs_no_allowance_for_its_motions():
+    """Noise makes errors of 0.02 m/s. Motions may make 0.03 m/s, and make none: r would have 1.8 of its error."""
+    rows = calibrate_set(draw_rows(120, 1e-5, 1e-5, 0.0, residual=0.02, allowed=0.03))
+    assert rows[0]["local_allowances"] < 0.3
+    assert find_rms_z_of_r(rows) == pytest.approx(1.0, abs=0.15)
+    assert calibrate_rows(draw_rows(20, 1e-5, 1e-5, 0.0, residual=0.02)).allowances == 1.0
+
+
+@pytest.mark.parametrize(("sets", "hits"), [(1, 120), (12, 8)])
+def test_balances_as_large_as_the_allowance_keep_the_errors(sets, hits):
+    """Motions make the errors of 0.03 m/s that are allowed for."""
+    both, scores = float(np.hypot(0.02, 0.03)), []
+    for seed in range(sets):
+        rows = draw_rows(hits, 1e-5, 1e-5, 0.0, seed, residual=both)
+        for row in rows:
+            raw = json.loads(row["local"])
+            raw |= {f"known_{key}": [v and 0.03 / both * v for v in raw[key]] for key in ("std", "velocity_std")}
+            row["local"] = json.dumps(raw)
+        scores.append(find_rms_z_of_r(calibrate_set(rows)))
+    assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.15)
 
 
 def test_a_hit_whose_momentum_is_off_is_not_recommended():
