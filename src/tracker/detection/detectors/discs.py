@@ -285,8 +285,7 @@ class Discs:
             tally.refused += not fitted and part.area > 0.5 * np.pi * radius**2
             tally.refused_area += 0.0 if fitted else part.area / (np.pi * radius**2)
             fits += [(f, flag, radius) for f, flag in fitted]
-        fits = _drop_repeated(fits) if self.in_colour else fits
-        return self._glints(fits, seen.light.shape) if fits else Glints.none()
+        return self._glints(_drop_repeated(fits), seen.light.shape) if fits else Glints.none()
 
     def _find_areas(self, seen: _SeenFrame, tally: _Tally) -> list[ContrastArea]:
         """The regions of a frame that differ from the background, largest first, with their differences."""
@@ -490,12 +489,17 @@ class Discs:
 
 
 def _drop_repeated(fits: list[tuple[DiscFit, int, float]]) -> list[tuple[DiscFit, int, float]]:
-    """Fits further than a radius from those before them: two colours of one ball may be two parts of a region."""
-    kept = list[tuple[DiscFit, int, float]]()
-    for one in fits:
-        if all(np.hypot(*(one[0].position - other[0].position)) > one[2] for other in kept):
-            kept.append(one)
-    return kept
+    """Fits further than a radius from those before them.
+
+    One ball may be two parts of a region, by its two colours or by a line that is drawn across it.
+    """
+    at = np.array([fit.position for fit, _, _ in fits])
+    away = np.hypot(*np.moveaxis(at[:, None] - at, -1, 0))
+    near = away <= np.array([radius for _, _, radius in fits])[:, None]
+    kept = np.ones(len(fits), dtype=bool)
+    for k in np.flatnonzero(np.tril(near, -1).any(axis=1)):
+        kept[k] = not (near[k, :k] & kept[:k]).any()
+    return [fit for fit, keep in zip(fits, kept, strict=True) if keep]
 
 
 def _measure_change(frame: NDArray[Any], level: NDArray[np.float32]) -> float:

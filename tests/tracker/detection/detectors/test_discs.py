@@ -79,6 +79,18 @@ def test_a_ball_that_rolls_along_the_rim_of_the_picture_is_found(sunk):
     assert np.hypot(*(found.xy - places).T).max() < 0.2
 
 
+def test_a_ball_under_a_line_has_one_position():
+    """The lines of a plot are drawn over its discs, and divide them into two parts."""
+    places = np.linspace([20.0, 90.0], [180.0, 92.0], 60)
+    pictures = film(np.random.default_rng(9), places[None], 25.0, ground=plate(np.random.default_rng(8), 150.0, 5.0))
+    pictures[:, 90:92], pictures[:, :, 100:102] = 160, 160
+    clip = recorded(pictures, Camera.from_dict(CAMERA))
+    found = detect(clip, make_view(clip, "discs"), "discs").glints
+    assert np.bincount(found.frame).max() == 1
+    assert len(found) > 55  # where both lines cross it, it is in four parts
+    assert np.hypot(*(found.xy - places[found.frame]).T).max() < 0.5
+
+
 def test_dim_discs_in_noise_are_all_found():
     """Contrast 25, noise 6; at rest too, where a pixel alone does not tell the ball from the plate."""
     ways = collision()
