@@ -208,11 +208,12 @@ def fit_motions(
     all along moves as on a dry plate, so both are tried. Motions on air are the most general. If none describes the
     positions, all are returned. The first has the smallest cost with its price.
     """
-    found: list[LocalSolution] = []
+    found, no_slides = list[LocalSolution](), False
     for support in supports:
         if support == "air" and any(one.is_good for one in found):
             break
-        if support == "sliding" and found and _are_no_dry_slides(stretches, found):
+        no_slides = no_slides or (len(found) > 0 and _are_no_slides(stretches, found))
+        if no_slides:
             continue
         for motions in list_motions(stretches, rests, support, before):
             problem = LocalProblem(tuple(stretches), motions, priors, support != "cloth")
@@ -247,14 +248,14 @@ def fit_motions(
     return sorted(found, key=lambda s: s.cost / noise + s.cost_with_price - s.cost)
 
 
-def _are_no_dry_slides(stretches: Sequence[Stretch], found: Sequence[LocalSolution]) -> bool:
-    """Prove that dry slides to rest count for nothing beside what is found, in a tenth of the time of their fit.
+def _are_no_slides(stretches: Sequence[Stretch], found: Sequence[LocalSolution]) -> bool:
+    """Prove that slides to rest, or on air, count for nothing beside what is found, sooner than their fits would.
 
     If a solution is good, only other good ones count. Their chi^2 is less than n + 3 sqrt(2 n) with n coordinates,
     because they have fewer degrees of freedom. If none is good, the bound has to be far above the best cost with any
     price. It also has to be a hundred times chi^2 in one stretch, because errors are then taken as large as residuals.
     """
-    bounds = {k: bound_chi2_of_dry_slide(s) for k, s in enumerate(stretches) if s.after}
+    bounds = {k: bound_chi2_of_slide(s) for k, s in enumerate(stretches) if s.after}
     sizes = [2 * int((~s.near).sum()) for s in stretches]
     n, least = sum(sizes), sum(bounds.values())
     if any(one.is_good for one in found):
@@ -265,13 +266,13 @@ def _are_no_dry_slides(stretches: Sequence[Stretch], found: Sequence[LocalSoluti
     return far_off and least > 10 * (best.cost + n * float(np.log(max(n, 2))))
 
 
-def bound_chi2_of_dry_slide(stretch: Stretch) -> float:
-    """A lower bound on chi^2 of a slide to rest after a contact, of the positions that are not beside the contact.
+def bound_chi2_of_slide(stretch: Stretch) -> float:
+    """A lower bound on chi^2 of a slide to rest, or on air, after a contact: of positions that are not beside it.
 
-    The body stops either after the middle of these positions, or before it. If after, those up to the middle lie on a
-    parabola. Their whitened errors depend on no later positions. If before, those from the middle on are at rest, and
-    all before may be anywhere. Both are linear problems, with all the freedom that the motion has or more. The smaller
-    of their least chi^2 is therefore a bound.
+    The body stops either after the middle of these positions, or before it. If after, or never, those up to the middle
+    lie on a parabola. Their whitened errors depend on no later positions. If before, those from the middle on are at
+    rest, and all before may be anywhere. Both are linear problems, with all the freedom that the motion has or more.
+    The smaller of their least chi^2 is therefore a bound.
     """
     n, first = len(stretch), int(stretch.near.sum())
     middle = (first + n) // 2

@@ -14,7 +14,7 @@ from tracker.measurement.local.local_fit import (
     MAX_RESIDUAL_SCATTER,
     SlideDuration,
     _narrow_cells,
-    bound_chi2_of_dry_slide,
+    bound_chi2_of_slide,
     choose_window,
     fit_motions,
     fit_single_stretch,
@@ -96,8 +96,8 @@ def slide_path(time, speed, friction, slide_s):
 
 
 @pytest.mark.parametrize("lasting", [0.0, 1e-5, 1e-4])
-def test_no_dry_slide_has_a_smaller_chi2_than_its_bound(lasting):
-    """Of slides that stop anywhere or not at all, for positions of such slides and of balls that roll on."""
+def test_no_slide_has_a_smaller_chi2_than_its_bound(lasting):
+    """Of slides that stop anywhere or go on as on air, for positions of such slides and of balls that roll on."""
     rng, time, least = np.random.default_rng(5), np.arange(1, 36) * 4e-3, []
     for _ in range(60):
         speed, slide_s, stop_s = rng.uniform(0.05, 0.5), rng.uniform(0, 0.2), rng.uniform(0, 0.2)
@@ -106,11 +106,12 @@ def test_no_dry_slide_has_a_smaller_chi2_than_its_bound(lasting):
             stretch = make_stretch(path, time, rng.integers(1e6), lasting)
             stretch.near[: rng.integers(0, 3)] = True
             stretch.position[stretch.near] += rng.normal(0, 1e-4, 2)
-            bound, counted = bound_chi2_of_dry_slide(stretch), np.repeat(~stretch.near, 2)
+            bound, counted = bound_chi2_of_slide(stretch), np.repeat(~stretch.near, 2)
             for duration in (stop_s, *rng.uniform(0, 0.2, 20)):
                 values = np.array([0.0, 0.0, speed, 0.0, -speed / duration, 0.0])
-                off = stretch.position - evaluate_path(SLIDE_AND_STOP, values, time, after=True)[0]
-                least.append((stretch.whiten(off)[counted] ** 2).sum() - bound)
+                for motion in (SLIDE_AND_STOP, SLIDE):
+                    off = stretch.position - evaluate_path(motion, values, time, after=True)[0]
+                    least.append((stretch.whiten(off)[counted] ** 2).sum() - bound)
     assert min(least) > -1e-6
 
 
@@ -119,8 +120,8 @@ def test_a_ball_that_rolls_on_after_its_slide_slides_not_to_rest():
     for seed in range(20):
         rolls = make_stretch(slide_path(time, 0.4, 2.0, 0.05), time, seed)
         stops = make_stretch(slide_path(time, 0.15, 2.0, 0.075), time, seed)
-        assert bound_chi2_of_dry_slide(rolls) > 1e2 * 70
-        assert bound_chi2_of_dry_slide(stops) < 70 + noise
+        assert bound_chi2_of_slide(rolls) > 1e2 * 70
+        assert bound_chi2_of_slide(stops) < 70 + noise
 
 
 def test_residuals_are_weighed_from_the_contact_on(monkeypatch):
@@ -180,7 +181,7 @@ def test_only_motions_that_no_error_makes_likely_are_not_solved_again(known):
 
 
 @pytest.mark.parametrize("size", [1.0, 3.0])
-def test_dry_slides_that_a_bound_excludes_change_nothing(monkeypatch, size):
+def test_slides_that_a_bound_excludes_change_nothing(monkeypatch, size):
     """Of balls that slide and then roll, with errors as claimed or larger in two stretches."""
     before, time, diameter = np.arange(-20, 0) * 4e-3, np.arange(1, 41) * 4e-3, 0.05
     stretches = (
@@ -197,10 +198,10 @@ def test_dry_slides_that_a_bound_excludes_change_nothing(monkeypatch, size):
 
     found, quick = run_alone(fit())
     assert found[0].is_good == (size == 1.0)
-    monkeypatch.setattr(local_fit, "_are_no_dry_slides", lambda *_: False)
+    monkeypatch.setattr(local_fit, "_are_no_slides", lambda *_: False)
     every, slow = run_alone(fit())
-    assert [one.problem.dry for one in every].count(()) == [one.problem.dry for one in found].count(())
-    assert len(every) - len(found) == (size > 1)
+    assert sum(not one.problem.glide for one in every) == len(found)
+    assert len(every) - len(found) == 2 * (size > 1)
     for (weight, one), (same, other) in zip(quick, slow, strict=True):
         assert weight == same
         assert np.array_equal(one.x, other.x)
