@@ -367,13 +367,15 @@ def _prefer_possible(pair: BallPair, tied: CollisionFit) -> CollisionFit:
 def _fit_free(pair: BallPair, tied: CollisionFit, whole: bool = False) -> tuple[CollisionFit, tuple[bool, bool]]:
     """The free fit, and for each ball whether the tracks show the end of its slide.
 
-    Short slides have several minima, so other slide times are tried. A slide without end is the null hypothesis.
+    Short slides have several minima, so other slide times are tried, unless the tracks accept those of the tied fit. A
+    slide without end is the null hypothesis.
     """
     start = np.asarray(tied_to_free(tied.parameters, pair.spin), dtype=np.float64)
     ends = [FREE.index(name) for name in ("log_tau1", "log_tau2")]
-    shift = 0.5 * np.isin(np.arange(len(FREE)), ends)
-    starts = [start, start - shift, start + shift]
-    best = fit_motion(pair, False, starts, whole=whole)
+    best = fit_motion(pair, False, [start], whole=whole)
+    if not _is_accepted(tied, best):
+        shift = 0.5 * np.isin(np.arange(len(FREE)), ends)
+        best = fit_motion(pair, False, [best.parameters, start - shift, start + shift], whole=whole)
     seen = [True, True]
     for i, (end, (_, track)) in enumerate(zip(ends, pair.balls, strict=True)):
         left = track.start[-1] + track.exposure - best.parameters[0]
@@ -387,6 +389,14 @@ def _fit_free(pair: BallPair, tied: CollisionFit, whole: bool = False) -> tuple[
             ends_in_view = bool(np.exp(best.parameters[end]) < left)
             seen[i] = ends_in_view and without.chi2 - best.chi2 > pair.settings.slide_end_chi2
     return best, (seen[0], seen[1])
+
+
+def _is_accepted(tied: CollisionFit, free: CollisionFit) -> bool:
+    """Decide whether the tracks accept a tied fit, by itself and beside a free one of the same positions."""
+    least_p, noise_dof = 0.01, tied.pair.striker.noise_dof
+    by_itself = compute_p_value(tied.chi2, tied.dof, noise_dof)
+    rise = compute_p_of_rise(tied.chi2 - free.chi2, tied.dof - free.dof, noise_dof)  # NaN without a known noise
+    return tied.dropped == free.dropped and by_itself > least_p and rise > least_p
 
 
 def _without_slide_end(free: Array, ball: int, left: float) -> Array:

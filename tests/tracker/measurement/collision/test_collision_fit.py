@@ -1,5 +1,7 @@
 """Both fits of one collision, from starts that may lead astray."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
@@ -33,3 +35,28 @@ def test_a_start_that_leads_astray_is_not_the_last(clip, monkeypatch):
     (row,) = measure(tracks, camera)
     assert row["status"] == "ok"
     assert row["r"] == pytest.approx(restitution, abs=4 * row["r_std"])
+
+
+def test_slide_times_that_the_tied_fit_lacks_are_tried_only_where_the_tracks_reject_it(clip, monkeypatch):
+    """Where they accept it, other slide times end where the first ones do."""
+    tracks, camera, _ = clip
+    asked, fit = list[int](), collision_fit.fit_motion
+
+    def count(pair, tied, starts, *rest, **more):
+        asked.append(1 if tied else len(starts))
+        return fit(pair, tied, starts, *rest, **more)
+
+    monkeypatch.setattr(collision_fit, "fit_motion", count)
+    (row,) = measure(tracks, camera)
+    assert set(asked) == {1}
+    monkeypatch.setattr(collision_fit, "_is_accepted", lambda *_: False)
+    (same,) = measure(tracks, camera)
+    assert max(asked) == 3
+    for name in ("v0", "r", "mu_k", "C", "tau1", "tau2"):
+        assert row[f"{name}_free"] == pytest.approx(same[f"{name}_free"], abs=1e-3 * row[f"{name}_free_std"])
+    monkeypatch.undo()
+    monkeypatch.setattr(collision_fit, "fit_motion", count)
+    asked.clear()
+    slower = replace(tracks, x=np.where(tracks.frame > np.median(tracks.frame), tracks.x + 0.3, tracks.x))
+    measure(slower, camera)
+    assert max(asked) == 3
