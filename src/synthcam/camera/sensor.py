@@ -4,8 +4,10 @@ The number of electrons is Poisson distributed about signal (1 + PRNU) + dark cu
 clips, read noise and gain follow, and the converter rounds and clips. All random numbers come from keyed seeds.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import groupby
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -44,6 +46,19 @@ class Sensor:
         """Standard deviation of a dark pixel from frame to frame, counts."""
         return float(np.hypot(self.read_noise / self.gain, 12**-0.5))
 
+    @property
+    def dtype(self) -> type[np.uint8] | type[np.uint16]:
+        """Type of the counts."""
+        return np.uint8 if self.bits <= 8 else np.uint16
+
+
+class ExactPart(NamedTuple):
+    """A part of a picture that is exposed pixel by pixel."""
+
+    picture: NDArray[Any]
+    rows: Part
+    columns: Part
+
 
 class SensorChip:
     """One copy of a sensor. Its fixed pattern depends on root_seed alone: it is the same in every clip.
@@ -64,7 +79,6 @@ class SensorChip:
             self.leak = np.zeros((h, w))
             self.leak.flat[self.hot] = sensor.hot_dark * rng.exponential(size=len(self.hot))
         self._backgrounds: list[_Background] = []
-        self._streams: dict[tuple[int, int], np.random.Generator] = {}
 
     def expose(self, picture: Picture | Float32, clip: int, frame: int) -> Counts:
         """Expose a picture: counts (h, w), uint8 up to 8 bits, else uint16.
@@ -72,34 +86,41 @@ class SensorChip:
         The noise depends on (root_seed, clip, frame) only. A bare array of picture values is exposed pixel by pixel,
         which is slower.
         """
-        rng = self._take_stream(clip, frame)
-        counts: Counts
-        if not isinstance(picture, Picture):
-            return self._exact(np.asarray(picture), slice(None), slice(None), rng)
-        background = self._tables(picture.plate)
-        if background.deep:
-            return self._exact(picture.image, slice(None), slice(None), rng)
-        counts = background.expose(rng)
-        if picture.changed is not None:
-            at = np.unravel_index(picture.changed, counts.shape)
-            counts[at] = self._exact(picture.image[at], at[0], at[1], rng)
-        for (rows, columns), part in zip(picture.boxes, picture.parts, strict=True) if picture.changed is None else ():
-            counts[rows, columns] = self._exact(part, rows, columns, rng)
-        if len(self.hot):  # they do not fit into the tables of the others
-            at = np.unravel_index(self.hot, counts.shape)
-            counts[at] = self._exact(picture.image[at], at[0], at[1], rng)
-        return counts
+        return self.expose_film([picture], clip, [frame])[0]
 
-    def _take_stream(self, clip: int, frame: int) -> np.random.Generator:
-        """Take the random numbers of a frame. Those of the next frames are made with them.
+    def expose_film(self, pictures: Sequence[Picture | Float32], clip: int, frames: Sequence[int]) -> list[Counts]:
+        """Expose the pictures of several frames as `expose` does each: seeds first, then the plate, then the balls.
 
-        Between two frames, whose pixels fill the processor's caches, each would take three times as long.
+        One frame after the other takes longer: its pixels fill the processor's caches, and each step finds them cold.
         """
-        at_once = 20
-        if (clip, frame) not in self._streams:
-            following = range(frame, frame + at_once)
-            self._streams = {(clip, k): _generator(self.root_seed, (clip, 1, k)) for k in following}
-        return self._streams.pop((clip, frame))
+        streams = [_generator(self.root_seed, (clip, 1, frame)) for frame in frames]
+        plates = [self._tables(picture.plate) if isinstance(picture, Picture) else None for picture in pictures]
+        exposed = list[Counts]()
+        for plate, run in groupby(zip(plates, streams, strict=True), lambda each: each[0]):
+            rngs = [rng for _, rng in run]
+            exposed += plate.expose(rngs) if plate else [np.empty(self.offset.shape, self.sensor.dtype) for _ in rngs]
+        parts = [
+            (k, part)
+            for k, (picture, plate) in enumerate(zip(pictures, plates, strict=True))
+            for part in self._list_parts(picture, plate is not None)
+        ]
+        found = self._expose_exactly([(part, streams[k]) for k, part in parts])
+        for (k, part), counts in zip(parts, found, strict=True):
+            exposed[k][part.rows, part.columns] = counts
+        return exposed
+
+    def _list_parts(self, picture: Picture | Float32, by_tables: bool) -> list[ExactPart]:
+        """List the parts of a picture that no table holds: balls and hot pixels, or all of it."""
+        if not isinstance(picture, Picture) or not by_tables:
+            return [ExactPart(picture.image if isinstance(picture, Picture) else picture, slice(None), slice(None))]
+        parts = [ExactPart(part, *box) for box, part in zip(picture.boxes, picture.parts, strict=True)]
+        if picture.changed is not None:
+            at = np.unravel_index(picture.changed, picture.plate.shape)
+            parts = [ExactPart(picture.image[at], *at)]
+        if len(self.hot):
+            at = np.unravel_index(self.hot, picture.plate.shape)
+            parts.append(ExactPart(picture.image[at], *at))
+        return parts
 
     def electrons(self, picture: NDArray[Any], rows: Part, columns: Part) -> Array:
         """Compute the mean number of electrons in the pixels of a part of the picture."""
@@ -110,7 +131,8 @@ class SensorChip:
         mean += sensor.dark * self.exposure
         return mean + self.leak[rows, columns] * self.exposure if len(self.hot) else mean
 
-    def _tables(self, plate: Float32) -> "_Background":
+    def _tables(self, plate: Float32) -> "_Background | None":
+        """Find the tables of a plate, or make them; None if it is too bright for tables."""
         found = next((b for b in self._backgrounds if b.plate is plate), None)
         found = found or next((b for b in self._backgrounds if np.array_equal(b.plate, plate)), None)
         if not found:
@@ -119,18 +141,31 @@ class SensorChip:
             while len(self._backgrounds) > 1 and sum(len(b.groups) for b in self._backgrounds) > MAX_TABLES:
                 del self._backgrounds[0]
         found.plate = plate  # recognised by its identity the next time
-        return found
+        return None if found.deep else found
 
-    def _exact(self, picture: NDArray[Any], rows: Part, columns: Part, rng: np.random.Generator) -> Counts:
+    def _expose_exactly(self, parts: Sequence[tuple[ExactPart, np.random.Generator]]) -> list[Counts]:
+        """Expose parts of pictures pixel by pixel, each with its own random numbers; those of all parts in a row."""
         sensor = self.sensor
-        charge = rng.poisson(self.electrons(picture, rows, columns)) + self.offset[rows, columns]
+        if not parts:
+            return []
+        means = [self.electrons(part.picture, part.rows, part.columns).ravel() for part, _ in parts]
+        offsets = [self.offset[part.rows, part.columns].ravel() for part, _ in parts]
+        ends = np.cumsum([0, *map(len, means)])
+        charge, noise = np.empty(ends[-1]), np.empty(ends[-1])
+        for (_, rng), mean, first, last in zip(parts, means, ends, ends[1:], strict=False):
+            charge[first:last] = rng.poisson(mean)
+            rng.standard_normal(out=noise[first:last])
+        charge += np.concatenate(offsets)
         np.minimum(charge, sensor.full_well, out=charge)
-        noise = rng.standard_normal(charge.shape)
         noise *= sensor.read_noise
         charge += noise
         charge /= sensor.gain
         charge += sensor.black_level
-        return digitise(charge, sensor.bits)
+        counts = digitise(charge, sensor.bits)
+        return [
+            counts[first:last].reshape(part.picture.shape)
+            for (part, _), first, last in zip(parts, ends, ends[1:], strict=False)
+        ]
 
 
 def digitise(values: NDArray[Any], bits: int) -> Counts:
@@ -184,26 +219,27 @@ class _Background:
                 self.groups.append((members, body, tails))
         self.level = ((shift + chip.offset) / sensor.gain + sensor.black_level).astype(np.float32)
 
-    def expose(self, rng: np.random.Generator) -> Counts:
-        shape, bits = self.level.shape, self.sensor.bits
-        words = -(-self.level.size // 4)
-        raw = np.asarray(rng.bit_generator.random_raw(words))
-        cells = raw.astype("<u8", copy=False).view("<u2")[: self.level.size]
-        if len(self.groups) == 1:
-            noise = _look_up(self.groups[0][1], cells)
-        else:
-            noise = np.empty(self.level.size, np.float32)
-            for members, body, _ in self.groups:
-                noise[members] = body[cells[members]]
-        kind, top = (cv2.CV_8U, 0xFF) if bits <= 8 else (cv2.CV_16U, 0xFFFF)
-        added: Any = cv2.add(noise.reshape(shape), self.level, dtype=kind)  # rounds half to even and saturates
-        counts = np.asarray(added)
-        saturated = _find_saturated(counts, top)
-        if bits not in (8, 16):
-            np.minimum(counts, (1 << bits) - 1, out=counts)
-        outer = saturated[cells[saturated] + np.uint16(1) <= 1]  # the first cell and, wrapped round, the last
-        counts.flat[outer] = digitise(self._draw_tails(outer, cells[outer], rng) + self.level.flat[outer], bits)
-        return counts
+    def expose(self, streams: Sequence[np.random.Generator]) -> list[Counts]:
+        """Expose the plate once by each stream of random numbers."""
+        size, bits = self.plate.shape, self.sensor.bits
+        exposed: list[Counts] = [np.empty(size, self.sensor.dtype) for _ in streams]
+        kind = cv2.CV_8U if bits <= 8 else cv2.CV_16U
+        for counts, rng in zip(exposed, streams, strict=True):
+            raw = np.asarray(rng.bit_generator.random_raw(-(-counts.size // 4)))
+            cells = raw.astype("<u8", copy=False).view("<u2")[: counts.size]
+            if len(self.groups) == 1:
+                noise = _look_up(self.groups[0][1], cells)
+            else:
+                noise = np.empty(counts.size, np.float32)
+                for members, body, _ in self.groups:
+                    noise[members] = body[cells[members]]
+            cv2.add(noise.reshape(size), self.level, dst=counts, dtype=kind)  # rounds half to even and saturates
+            saturated = _find_saturated(counts)
+            if bits not in (8, 16):
+                np.minimum(counts, (1 << bits) - 1, out=counts)
+            outer = saturated[cells[saturated] + np.uint16(1) <= 1]  # the first cell and, wrapped round, the last
+            counts.flat[outer] = digitise(self._draw_tails(outer, cells[outer], rng) + self.level.flat[outer], bits)
+        return exposed
 
     def _draw_tails(self, outer: Index, cells: NDArray[np.uint16], rng: np.random.Generator) -> Float32:
         """Draw the noise of the pixels whose cells are outermost. outer: their numbers."""
@@ -218,9 +254,9 @@ class _Background:
         return noise
 
 
-def _find_saturated(counts: Counts, top: int) -> Index:
-    """Find the numbers of the pixels with the count `top`; of a few bytes by a search from each to the next."""
-    few = 64
+def _find_saturated(counts: Counts) -> Index:
+    """Find the numbers of the pixels with the largest count; of a few bytes by a search from each to the next."""
+    few, top = 64, int(np.iinfo(counts.dtype).max)
     if counts.dtype == np.uint8:
         whole, found = counts.tobytes(), list[int]()
         at = whole.find(top)

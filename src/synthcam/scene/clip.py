@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,6 +38,7 @@ from synthcam_shared.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
+PIXELS_EXPOSED_AT_ONCE = 16 * 512 * 256
 CONTACT_UPSTREAM_S = 0.015 / 0.6  # at 0.6 m/s, contact is 15 mm before the centre: the slide ends in view
 
 
@@ -206,13 +208,16 @@ class Clip:
 
         paths = (centres, rotations) if self.finish else (centres,)
         drawn = renderer.frames(*paths, view.spans(frames), view.breaks())
-        for k, rendered in zip(frames, drawn, strict=True):
-            pictures = rendered if isinstance(rendered, tuple) else (rendered,) * len(chips)
-            exposed = (
-                chip.expose(picture if by_tables else picture.image, self.number, k)
-                for chip, picture in zip(chips, pictures, strict=True)
-            )
-            yield np.stack(list(exposed), axis=-1) if colour else next(exposed)
+        # Frames of matte balls take long, and are exposed as soon as they are drawn.
+        many = 1 if self.finish else max(1, PIXELS_EXPOSED_AT_ONCE // (camera.size[0] * camera.size[1]))
+        for first in range(0, len(frames), many):
+            some = frames[first : first + many]
+            films = zip(*(p if isinstance(p, tuple) else (p,) * len(chips) for p in islice(drawn, many)), strict=True)
+            exposed = [
+                chip.expose_film(film if by_tables else [picture.image for picture in film], self.number, some)
+                for chip, film in zip(chips, films, strict=True)
+            ]
+            yield from (np.stack(each, axis=-1) if colour else each[0] for each in zip(*exposed, strict=True))
 
     def _list_optics(self, quick: bool) -> dict[str, Any]:
         """The arguments of the renderer: everything that decides a picture, except noise and where the balls are."""

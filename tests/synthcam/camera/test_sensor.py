@@ -220,12 +220,27 @@ def test_plates_in_changing_light_keep_their_tables(monkeypatch):
     assert 1 < sum(len(b.groups) for b in chip._backgrounds) <= 4
 
 
+@pytest.mark.parametrize("bits", [8, 12])
+def test_frames_exposed_together_are_those_exposed_alone(bits):
+    """Plates in changing light, one too bright for tables, hot pixels, balls in boxes and in lists of pixels."""
+    sensor = Sensor(bits=bits, hot_pixels=0.002, hot_dark=2e6)
+    chip, other = (SensorChip(sensor, SIZE, 5e-4, root_seed=21) for _ in range(2))
+    box, listed = (slice(20, 60), slice(30, 90)), np.arange(500, 900, 3)
+    pictures = [flat(0.001, (box,)), flat(0.001), flat(0.02, (box,)), flat(3.0, (box,)), flat(0.001, (box,))]
+    pictures += [replace(flat(0.001, (box,)), changed=listed)]
+    frames = [0, 1, 4, 5, 6, 9]
+    together = chip.expose_film(pictures, 2, frames)
+    assert len({counts.tobytes() for counts in together}) == len(frames)
+    for counts, picture, frame in zip(together, pictures, frames, strict=True):
+        np.testing.assert_array_equal(counts, other.expose(picture, 2, frame))
+
+
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 @pytest.mark.parametrize("full", [0, 1, 63, 64, 65, 900])
 def test_saturated_pixels_are_found_however_many_there_are(kind, full):
     counts, top = np.zeros((30, 40), kind), np.iinfo(kind).max
     counts.flat[np.random.default_rng(full).permutation(1200)[:full]] = top
-    np.testing.assert_array_equal(module._find_saturated(counts, top), np.flatnonzero(counts == top))
+    np.testing.assert_array_equal(module._find_saturated(counts), np.flatnonzero(counts == top))
 
 
 def test_without_read_noise_a_black_part_of_the_plate_shows_its_offset():
