@@ -61,10 +61,10 @@ def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
             break
     ends[:, 1:-1] = centres + radii[..., None] * normals
     tangents = _tangents(normals)
-    _, curvature, pressure, first = _expand(ends, normals, tangents, radii)
+    _, curvature, pressure, across = _expand(ends, normals, tangents, radii)
     # Only the first corner depends on the lamp: H dq + (dslope/dlamp) dlamp = 0.
     push = np.zeros((count, 2 * order, 3))
-    push[:, :2] = first
+    push[:, :2] = -np.swapaxes(tangents, -1, -2)[:, 0] @ across
     moves = -np.linalg.solve(curvature, push)
     transfer = tangents[:, -1] @ moves[:, -2:]
     return Paths(ends[:, 1:-1], transfer, pressure / 2, (last < 1e-6) & (pressure > 1e-6).all(axis=1))
@@ -111,8 +111,8 @@ def _tangents(normals: Array) -> Array:
 def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple[Array, Array, Array, Array]:
     """Length of the broken line to second order in tangential moves of its corners.
 
-    Returns the slope (M, 2k), the curvature (M, 2k, 2k), the pressure n . (u_before + u_after) (M, k) and the
-    derivative of the first corner's slope by the lamp's position (M, 2, 3).
+    Returns the slope (M, 2k), the curvature (M, 2k, 2k), the pressure n . (u_before + u_after) (M, k), and how the
+    direction of the first leg changes with its end (M, 3, 3).
     """
     count, order = normals.shape[:2]
     legs = ends[:, 1:] - ends[:, :-1]
@@ -127,7 +127,7 @@ def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple
     # Off the plane of contact the sphere falls away; the floor keeps a straight-through line solvable.
     bend += (np.maximum(pressure, 1e-3) / radii)[..., None, None] * UNIT_2
     if order == 1:
-        return slope, bend[:, 0], pressure, -turned[:, 0] @ across[:, 0]
+        return slope, bend[:, 0], pressure, across[:, 0]
     cross = -turned[:, :-1] @ across[:, 1:-1] @ tangents[:, 1:]
     blocks = np.zeros((count, order, 2, order, 2))
     for k in range(order):
@@ -136,7 +136,7 @@ def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple
             blocks[:, k, :, k + 1] = cross[:, k]
             blocks[:, k + 1, :, k] = np.swapaxes(cross[:, k], 1, 2)
     curvature = blocks.reshape(count, 2 * order, 2 * order)
-    return slope, curvature, pressure, -turned[:, 0] @ across[:, 0]
+    return slope, curvature, pressure, across[:, 0]
 
 
 def find_blocked_paths(

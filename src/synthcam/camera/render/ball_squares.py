@@ -67,9 +67,9 @@ def _make_squares(middle: Array, side: Array) -> Float32:
 
 
 def _align(middle: Array, half: Array) -> Float32:
-    """Squares (n, 4) on the grid of blocks, of less than so many samples to each side of the middles (n, 2)."""
-    side = np.maximum(np.floor(2 * half / GRID) - 1, 0)
-    low = np.rint(middle / GRID - side[:, None] / 2)
+    """Largest squares (n, 4) on the grid of blocks, of at most so many samples to each side of the middles (n, 2)."""
+    low, high = np.ceil((middle - half[:, None]) / GRID), np.floor((middle + half[:, None]) / GRID)
+    side = np.maximum((high - low).min(axis=1), 0)
     return _make_squares((low + side[:, None] / 2) * GRID, side * GRID)
 
 
