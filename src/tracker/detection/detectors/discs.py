@@ -113,9 +113,10 @@ class Discs:
         self.relative_radius_std = 0.0
         self.true_to_fitted_radius = 1.0
         areas = [self._survey(k, np.asarray(view.frames[k]), tally) for k in survey]
-        if not any(areas):
-            areas = [self._survey_rim(k, np.asarray(view.frames[k])) for k in survey]
         self.radii, self.contrast = self._usual_radius(areas, given if knows_radius else None)
+        if not self.contrast:  # no disc
+            areas = [self._survey_rim(k, np.asarray(view.frames[k])) for k in survey]
+            self.radii, self.contrast = self._usual_radius(areas, given if knows_radius else None)
         self.low = max(self.low, 0.2 * self.contrast)  # fainter objects are not balls
         for scene, numbers in samples.items():
             self.scenes[scene] = self._clean_background(scene, [np.asarray(view.frames[k]) for k in numbers], tally)
