@@ -2,7 +2,7 @@
 
 import re
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
@@ -51,7 +51,9 @@ class Cluster:
                 answers += [answer] if answer not in answers else []
         return answers
 
-    def run(self, work: Callable[[int], T], numbers: Sequence[int], ahead: int = 3) -> Iterator[JobValue[T] | LostJob]:
+    def run(
+        self, work: Callable[[int], T], numbers: Sequence[int], ahead: int = 3
+    ) -> Generator[JobValue[T] | LostJob, None, None]:
         """Do the work for each number, and yield the answers in the order in which the jobs end.
 
         Another worker does the jobs of a worker that is lost. Dask gives up a job that loses three workers. Each thread

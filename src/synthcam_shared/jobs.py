@@ -12,7 +12,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
@@ -54,8 +54,11 @@ def run_jobs(
     trials: int = 2,
     announce: Callable[[JobForecast], None] | None = None,
     fork: bool = False,
-) -> Iterator[JobValue[T] | LostJob]:
+) -> Generator[JobValue[T] | LostJob, None, None]:
     """Do the work for each number, and yield the answers in the order in which the jobs end.
+
+    A caller that may leave before the last answer closes the generator, as with `contextlib.closing`: the other
+    processes then end before the next line of the caller.
 
     work: takes a number. It must pickle where there are several workers, and what it raises is raised here.
     numbers: rising.
@@ -78,7 +81,9 @@ def run_jobs(
     if fork and workers != 1 and _has_one_thread():
         packed = bytes(ForkingPickler.dumps(work))
         ready = [_Worker(packed, "fork") for _ in range(min(workers or count_cores(), len(numbers)) - 1)]
-    return _run_trials_first(work, numbers, workers, trials, announce, ready)
+    jobs = _run_trials_first(work, numbers, workers, trials, announce, ready)
+    next(jobs)  # from here on, closing it ends the processes that are ready, even if no answer was asked for
+    return jobs
 
 
 def _run_trials_first(
@@ -88,10 +93,11 @@ def _run_trials_first(
     trials: int,
     announce: Callable[[JobForecast], None] | None,
     ready: list["_Worker"],
-) -> Iterator[JobValue[T] | LostJob]:
-    """Run the jobs as `run_jobs` does; `ready` are processes that have nothing to do yet."""
+) -> Generator[Any, None, None]:
+    """Run the jobs as `run_jobs` does, after a first None; `ready` are processes that have nothing to do yet."""
     worth_processes = 1.0 if ready else 3.0  # s of processor time to come: of a process, half goes into its start
     try:
+        yield None
         if numbers and (announce or not workers):
             last = len(numbers) - 1
             first = sorted({numbers[-(-k * last // max(trials - 1, 1))] for k in range(trials)})
@@ -257,6 +263,7 @@ def _run_in_processes(
 def _serve(pipe: Connection, method: str) -> None:
     """Take the work, then answer the numbers that come through the pipe, until there is none or the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a copy has what the parent does at it
     if method == "spawn":  # a copy has this from its parent, and has no teardown
         defer_garbage_collection()
     end_at_once = skip_teardown()

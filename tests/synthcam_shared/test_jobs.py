@@ -173,6 +173,31 @@ def test_processes_are_copies_of_this_one_where_it_has_one_thread(case, knew, tm
     assert done.stdout.splitlines() == ["8 {" + repr(knew) + "}", "(0, 'LostJob')"]
 
 
+LEFT = """
+import multiprocessing, signal, sys, time
+from synthcam_shared.jobs import run_jobs
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda number, frame: None)
+    jobs = run_jobs(time.sleep, [0, 60, 60], 3, fork=True)
+    started = len(multiprocessing.active_children())
+    if sys.argv[1:] == ["later"]:
+        next(jobs)
+    jobs.close()
+    print(started, len(multiprocessing.active_children()))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="reads /proc")
+@pytest.mark.parametrize("when", ["at once", "later"])
+def test_copies_end_with_the_jobs_whatever_the_parent_does_at_a_signal(when, tmp_path):
+    (tmp_path / "left.py").write_text(LEFT)
+    words = [sys.executable, str(tmp_path / "left.py"), when]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(words, env=env, capture_output=True, text=True, timeout=30)
+    assert (done.stdout, done.stderr) == ("2 0\n", "")
+
+
 BUSY = """
 import time
 from synthcam_shared.jobs import run_jobs

@@ -4,6 +4,7 @@ import errno
 import platform
 import shutil
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -131,13 +132,13 @@ def generate_dataset(
         work = partial(_make_in_worker, plan, version("synthcam"), list_added_folders(), *folders)
         tell = None if announce is None else lambda trial: announce(_estimate(made, trial))
         fork = not has_opengl_started()
-        jobs = run_jobs(work, todo, workers, scheduler, trials=3, announce=tell, fork=fork)
-        progress(len(done), plan.total)  # afterwards: a bar on a terminal has a thread
         failed = []
-        for count, result in enumerate(jobs, 1):
-            problem = result.reason if isinstance(result, LostJob) else result.value
-            failed += [f"clip {result.number}: {problem}"] if problem is not None else []
-            progress(len(done) + count, plan.total)
+        with closing(run_jobs(work, todo, workers, scheduler, trials=3, announce=tell, fork=fork)) as jobs:
+            progress(len(done), plan.total)  # afterwards: a bar on a terminal has a thread
+            for count, result in enumerate(jobs, 1):
+                problem = result.reason if isinstance(result, LostJob) else result.value
+                failed += [f"clip {result.number}: {problem}"] if problem is not None else []
+                progress(len(done) + count, plan.total)
         made.tidy()
         if failed:
             if not made.list_done():

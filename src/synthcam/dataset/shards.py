@@ -6,7 +6,7 @@ import json
 import shutil
 import tarfile
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -119,18 +119,19 @@ def write_shards(plan: ShardPlan, folder: Path, workers: int, progress: Progress
         frames, left_out = 0, list[str]()
         work = partial(_write_in_worker, plan, list_added_folders(), folder.absolute())
         endless = plan.clips is None  # then in order of their numbers, without a trial of the last ones
-        jobs = run_jobs(work, todo, workers or (count_cores() if endless else 0), fork=not has_opengl_started())
-        progress(done, plan.clips or 0)  # afterwards: a bar on a terminal has a thread
+        workers = workers or (count_cores() if endless else 0)
         try:
-            for result in jobs:
-                if isinstance(result, LostJob):
-                    raise InputError(f"{folder}: shard {result.number}: {result.reason}")
-                made, lines = result.value
-                frames, left_out = frames + made, left_out + lines
-                if not frames and len(left_out) >= MAX_FAILURES_IN_A_ROW:
-                    break
-                done += len(plan.clips_of(result.number))
-                progress(done, plan.clips or 0)
+            with closing(run_jobs(work, todo, workers, fork=not has_opengl_started())) as jobs:
+                progress(done, plan.clips or 0)  # afterwards: a bar on a terminal has a thread
+                for result in jobs:
+                    if isinstance(result, LostJob):
+                        raise InputError(f"{folder}: shard {result.number}: {result.reason}")
+                    made, lines = result.value
+                    frames, left_out = frames + made, left_out + lines
+                    if not frames and len(left_out) >= MAX_FAILURES_IN_A_ROW:
+                        break
+                    done += len(plan.clips_of(result.number))
+                    progress(done, plan.clips or 0)
         finally:
             for leftover in folder.glob("shard-*.tmp"):  # of workers that were killed, in this run or an earlier one
                 _remove(leftover)

@@ -14,6 +14,7 @@ from synthcam.dataset.shards import ShardPlan, plan_shards, write_shards
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
+from synthcam_shared.job_result import LostJob
 
 
 @pytest.fixture(autouse=True)
@@ -171,3 +172,16 @@ def test_clips_that_cannot_be_made_are_listed(tmp_path, monkeypatch):
     bad |= set(range(30))
     with pytest.raises(InputError, match=r"no clip could be made; clip 9 is left out: no motion$"):
         write(plan(30), tmp_path / "none")
+
+
+def test_a_lost_shard_leaves_nothing_that_workers_were_at(tmp_path, monkeypatch):
+    def lose_first(*asked, **options):
+        try:
+            yield LostJob(0, "its worker was killed")
+        finally:  # what another worker has written until it is ended
+            (tmp_path / "s" / "shard-000001.tar-0123456789ab.tmp").touch()
+
+    monkeypatch.setattr("synthcam.dataset.shards.run_jobs", lose_first)
+    with pytest.raises(InputError, match=r"shard 0: its worker was killed$"):
+        write(plan(), tmp_path / "s")
+    assert not list(tmp_path.glob("s/*.tmp"))
