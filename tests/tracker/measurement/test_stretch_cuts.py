@@ -5,7 +5,7 @@ import pytest
 
 from tracker.measurement.local.stretches import cut_stretch
 from tracker.measurement.positions import BallTrack
-from tracker.measurement.stretch_cuts import CUTTER, measure_path_noise
+from tracker.measurement.stretch_cuts import CUTTER, measure_largest_noise, measure_path_noise
 
 FPS, NOISE = 50, 2e-4
 
@@ -68,3 +68,17 @@ def test_noise_of_a_ball_that_moves_is_no_kink_though_it_is_still_at_rest():
     position = np.outer(way, [1.0, 0.2]) + noise[:, None] * rng.normal(size=(260, 2))
     ball = BallTrack(1, np.arange(260), time, position, np.tile(np.eye(2) * 1e-10, (260, 1, 1)), 0.0)
     assert cut_stretch(ball, 1, True, 0.5, (200 / 240, 200 / 240), 1 / 240).time[-1] > time[-4]
+
+
+@pytest.mark.parametrize("count", [3, 4, 9, 12, 13, 60])
+def test_the_largest_noise_is_that_of_the_noisiest_part(count):
+    """Also where frames are missing, and where a ball rests: there positions that repeat show none."""
+    rng = np.random.default_rng(count)
+    frame = np.cumsum(rng.choice([1, 1, 1, 2], count))
+    position = np.outer(frame, [1e-3, 2e-3]) + rng.normal(0, np.linspace(1e-6, 9e-6, count)[:, None], (count, 2))
+    position[:20] = position[0] if count == 60 else position[:20]
+    parts = [slice(k, k + 12) for k in range(0, max(count - 11, 1), 6)]
+    each = [measure_path_noise([(frame[part], position[part])]) for part in parts]
+    assert measure_largest_noise(frame, position) == pytest.approx(np.fmax.reduce(each), rel=1e-12, nan_ok=True)
+    if count == 60:
+        assert 3e-6 < measure_largest_noise(frame, position) < 3e-5

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from itertools import groupby
 from typing import NamedTuple, TypeAlias, TypeVar
 
@@ -223,7 +223,8 @@ class StretchStack(NamedTuple):
     root: Array | None  # (h, n, 2, 2) that whitens each position; None if errors of different positions correlate
 
     @staticmethod
-    def of(stretches: Sequence[Stretch]) -> StretchStack:
+    @lru_cache(maxsize=8)  # the descents of one hit are about the same stretches
+    def of(stretches: tuple[Stretch, ...]) -> StretchStack:
         """Stack stretches."""
         most = max(map(len, stretches))
         filled = [np.minimum(np.arange(most), len(s) - 1) for s in stretches]

@@ -25,7 +25,7 @@ import numpy as np
 from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.noise.whitening import PositionWhitener
 from tracker.measurement.positions import BallTrack
-from tracker.measurement.stretch_cuts import CUTTER, measure_path_noise
+from tracker.measurement.stretch_cuts import CUTTER, measure_largest_noise, measure_path_noise
 
 MAX_POSITIONS = 45  # of a stretch; more are averaged in groups
 NEAR_ERRORS = 4.0  # factor on the errors of positions beside the contact
@@ -229,9 +229,7 @@ def _split_at_rest(track: BallTrack, rows: Ints, near: Flags) -> tuple[Ints, Int
     """
     same, least_friction, usual_friction, least_rows = 4.0, 0.05, 0.2, 3
     time, position = track.time[rows], track.position[rows]
-    parts = range(0, max(len(track.frame) - 11, 1), 6)
-    noise = np.fmax.reduce([measure_path_noise([(track.frame[k : k + 12], track.position[k : k + 12])]) for k in parts])
-    limit = same * float(noise)
+    limit = same * measure_largest_noise(track.frame, track.position)
     off = np.hypot(*(position - np.median(position[-(len(rows) // 3) :], axis=0)).T)
     moving = np.flatnonzero(off > limit)
     last = max(int(moving[-1]) if len(moving) else 0, int(near.sum()) + least_rows - 1)
