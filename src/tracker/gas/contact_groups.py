@@ -113,21 +113,23 @@ def group_contacts(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: flo
 
 
 def _count_hidden(contacts: pd.DataFrame, frame_s: float) -> Array:
-    """Count the contacts (n,) that are expected within `HIDING_FRAMES` of each, by those of its balls a little farther.
+    """Count the contacts (n,) that were not found within `HIDING_FRAMES` of each, by those of its balls a little farther.
 
-    Within 2 frames many are not found; up to 12 frames the density of contacts is about the same. A table without kicks
-    is not the tracker's, and may have all contacts.
+    Within 2 frames many are not found; up to 12 frames the density of contacts is about the same. The share that was
+    found is that of the whole film. A table without kicks is not the tracker's, and may have all contacts.
     """
     nearest, farthest = 2.0, 12.0  # frames
     if "kick" not in contacts:
         return np.zeros(len(contacts))
     balls, frame = contacts[["particle1", "particle2"]].to_numpy(), contacts["t_s"].to_numpy() / max(frame_s, 1e-12)
-    near = np.zeros(len(contacts))
+    near, found = np.zeros(len(contacts)), 0
     for ball in np.unique(balls[balls >= 0]):
         own = np.flatnonzero((balls == ball).any(axis=1))
         apart = np.abs(np.subtract.outer(frame[own], frame[own]))
         near[own] += ((apart > nearest) & (apart < farthest)).sum(axis=1)
-    return near / (farthest - nearest) * HIDING_FRAMES / 2
+        found += int((apart < HIDING_FRAMES).sum()) - len(own)
+    expected = near / (farthest - nearest) * HIDING_FRAMES
+    return np.asarray(max(1 - found / max(expected.sum(), 1e-300), 0.0) * expected / 2)
 
 
 def _combine(value: Array, variance: Array, expected: Array, scatter: Array) -> tuple[Array, Array]:
