@@ -133,7 +133,8 @@ def _start_on_air(left: RestrictedResiduals, moves: Sequence[Moves], way: float,
     size = np.array([np.std(columns[..., -1]) * np.mean(clip.claimed_std()) for columns, clip in both])
     push = float(np.median(RESIDUAL_TO_PUSH * size / lasts**2))
     start = {"loss_m_s2": push, "across_m_s2": push, "lasts_s": float(np.median(lasts)) / 2}
-    start |= {"displacement_m": 0.5 * noise_m, "reach_m": 0.06 * way}  # over more, they are like accelerations
+    # Displacements over more are like accelerations; from small ones, a descent may end at a map of the noise.
+    start |= {"displacement_m": 4 * noise_m, "reach_m": 0.06 * way}
     return start, float(np.median(np.concatenate([move.speeds for move in moves if isinstance(move, _AirMoves)])))
 
 
@@ -172,14 +173,18 @@ class _ScatterLikelihood:
         return _ScatterFit(finite_cost(price, x), x, self._build(names, x, speed_power))
 
     def maximise_on_air(self, least_gain: float) -> _ScatterFit:
-        """Find the most likely accelerations with their power of the speed, and displacements if they gain enough."""
+        """Find the most likely accelerations with their power of the speed, and displacements if they gain enough.
+
+        Without displacements, accelerations shorter than a frame take their place. From there no descent leads back to
+        long ones, so the fit with displacements starts anew.
+        """
         best = self.maximise(ON_AIR)
         for power in SPEED_POWERS[1:]:
             grown = self.maximise(ON_AIR, best.x, power)
             if not grown.cost < best.cost:
                 break
             best = grown
-        displaced = self.maximise([*ON_AIR, *DISPLACED], best.x, best.scatter.speed_power)
+        displaced = self.maximise([*ON_AIR, *DISPLACED], speed_power=best.scatter.speed_power)
         return displaced if displaced.cost < best.cost - least_gain else best
 
     def drop_negligible(self, scatter: StretchScatter) -> StretchScatter:

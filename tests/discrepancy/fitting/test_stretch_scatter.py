@@ -117,6 +117,20 @@ def test_accelerations_on_air_are_found_and_how_they_grow_with_the_speed(power):
     assert fit.chi2 / (fit.points - fit.parameters) == pytest.approx(1, abs=0.1)
 
 
+def test_short_displacements_hide_no_accelerations_that_last():
+    """Displacements of two errors of a position change within a frame or two, as accelerations within a frame do."""
+    rng, size, reach, clips = np.random.default_rng(1), 2, 1e-3, glide(3, count=10)
+    for k, clip in enumerate(clips):
+        kernel = np.exp(-((clip.xy[:, None] - clip.xy) ** 2).sum(axis=-1) / (2 * reach**2))
+        root = np.linalg.cholesky(kernel + 1e-9 * np.eye(len(kernel)))
+        clips[k] = dataclasses.replace(clip, xy=clip.xy + size * STD * root @ rng.standard_normal(clip.xy.shape))
+    found, _, _ = fit_with_scatter(clips)
+    assert found.loss_m_s2 == pytest.approx(0.1, rel=0.4)
+    assert found.across_m_s2 == pytest.approx(0.03, rel=0.4)
+    assert found.lasts_s == pytest.approx(LASTS, rel=0.6)
+    assert found.displacement_m == pytest.approx(size * STD, rel=0.3)
+
+
 def test_nothing_differs_between_bodies_that_lose_speed_alike():
     assert fit_with_scatter(glide(4, along=0.0, across=0.0))[0].is_none
 
