@@ -113,7 +113,7 @@ def group_contacts(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: flo
 
 
 def _count_hidden(contacts: pd.DataFrame, frame_s: float) -> Array:
-    """Count the contacts (n,) that were not found within `HIDING_FRAMES` of each, by those of its balls a little farther.
+    """Count the contacts (n,) that hide within `HIDING_FRAMES` of each, by those of its balls a little farther.
 
     Within 2 frames many are not found; up to 12 frames the density of contacts is about the same. The share that was
     found is that of the whole film. A table without kicks is not the tracker's, and may have all contacts.
