@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.detection.detector import View
-from tracker.detection.glints import Glints
+from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.likelihood.cramer_rao import compute_glint_shape
 from tracker.detection.likelihood.neighbours import find_repeated
 from tracker.detection.spot_centroids import SpotCentroids
@@ -41,6 +41,11 @@ class LinearFit:
             rows, columns = self._find_pixels(frame, found.take(cut), half)
             wide, is_cut[cut] = self._place(frame, self.find_centroids.measure(frame, rows, columns, half), half)
             found.put(cut, wide)
+        # The middle of a smear that no window holds may be anywhere in the largest; so for candidates at its ends.
+        apart = np.abs(found.xy[:, None] - found.xy[is_cut]).max(axis=2).min(axis=1, initial=np.inf)
+        is_lost = apart <= half
+        found.cov[is_lost] += (half + 0.5) ** 2 / 3 * np.eye(2)
+        found.flags[is_lost] |= PositionFlag.MISFIT
         # A long smear has several candidates, which are then placed at its middle.
         return found.take(~find_repeated(found, self.find_centroids.search.apart / 2)) if is_long else found
 
@@ -70,7 +75,10 @@ class LinearFit:
         fixed = lasting[:, :, None] ** 2 * np.eye(2)
         own = np.where(good[:, None, None], cov, found.cov)
         moved = np.where(good[:, None], shift, 0.0)
-        is_cut = np.hypot(*blurs.T) > 2 * (half + 0.5 - self.sigma)
+        length = np.hypot(*blurs.T)
+        # A smear whose window was widened before may reach beyond one end of it only.
+        aside = np.where(half > self.half, np.abs((off * blurs).sum(axis=1)) / np.maximum(length, 1e-9), 0.0)
+        is_cut = length / 2 + aside > half + 0.5 - self.sigma
         return replace(found, x=found.x + moved[:, 0], y=found.y + moved[:, 1], cov=own + fixed, fixed=fixed), is_cut
 
     def _fit(self, counts: Array, off: Array, blurs: Array) -> tuple[Array, Array]:

@@ -1,5 +1,7 @@
 """The errors that linear fits claim in films of crowds, whose frames show too many balls for a full fit of each."""
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -10,6 +12,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.camera.recordings import make_recording
 from tracker.detection.detect import detect, load_detector, make_view
+from tracker.detection.glints import PositionFlag
 
 
 def read_errors(clip, detector):
@@ -54,18 +57,29 @@ def test_light_of_neighbours_shifts_no_glint():
     assert np.sqrt((z[shifted] ** 2).mean()) == pytest.approx(1.0, abs=0.09)
 
 
+@functools.cache
+def make_crowd_view():
+    """The view of a film of noise with the camera of `crowd`, whose balls have 15 px."""
+    camera = Camera.from_dict(Scene.read("crowd").draw().camera_json)
+    noise = np.random.default_rng(1).integers(7, 10, (9, 480, 640)).astype(np.uint8)
+    return make_view(make_recording(0, wrap_frames(noise), camera), "linear_fit")
+
+
+def draw_smear(at, length, direction, counts, sigma):
+    """A picture (480, 640) of a spot of so many counts that moves straight through `at` by so many px."""
+    edges, picture = np.arange(641) - 0.5, np.full((480, 640), 8.0)
+    for off in np.linspace(-length / 2, length / 2, 61):
+        middle = at + off * np.array(direction)
+        x, y = (np.diff(ndtr((edges - k) / sigma)) for k in middle)
+        picture += counts / 61 * y[:480, None] * x
+    return picture
+
+
 @pytest.mark.parametrize("blur", [0.0, 3.0])
 def test_a_spot_on_a_tilted_plane_of_light_is_where_it_is(blur):
     """Without noise the fit removes at least four fifths of the shift of a centroid."""
-    rng, at, edges = np.random.default_rng(1), np.array([60.3, 40.6]), np.arange(641) - 0.5
-    camera = Camera.from_dict(Scene.read("crowd").draw().camera_json)
-    recording = make_recording(0, wrap_frames(rng.integers(7, 10, (9, 480, 640)).astype(np.uint8)), camera)
-    view = make_view(recording, "linear_fit")
-    picture = np.full((480, 640), 8.0)
-    for off in np.linspace(-blur / 2, blur / 2, 41):
-        way = np.array([0.8, 0.6]) * off
-        x, y = (np.diff(ndtr((edges - (middle + along)) / view.sigma)) for middle, along in zip(at, way, strict=True))
-        picture += 900 / 41 * y[:480, None] * x
+    at, view = np.array([60.3, 40.6]), make_crowd_view()
+    picture = draw_smear(at, blur, (0.8, 0.6), 900, view.sigma)
     rows, columns = np.indices(picture.shape)
     body = np.hypot(columns - at[0], rows - at[1]) < 7
     picture += np.where(body, 20 + columns - at[0] + (rows - at[1]) / 2, 0.0)
@@ -75,3 +89,22 @@ def test_a_spot_on_a_tilted_plane_of_light_is_where_it_is(blur):
     off = np.hypot(*(centroid.xy[0] - at))
     assert off > 0.05
     assert np.hypot(*(fit.xy[0] - at)) < 0.2 * off
+
+
+@pytest.mark.parametrize("length", [10, 14, 18, 26, 30, 36])
+@pytest.mark.parametrize("direction", [(0.8, 0.6), (0.28, -0.96)])
+def test_a_long_smear_is_at_its_middle_or_has_the_error_of_one_that_no_window_holds(length, direction):
+    """The largest window has 23 px. Positions of longer smears were 20 to 60 claimed errors off."""
+    at, view = np.array([200.3, 140.6]), make_crowd_view()
+    picture = draw_smear(at, length, direction, 200 * length, view.sigma)
+    noise = np.random.default_rng(4).uniform(-1.5, 1.5, picture.shape)
+    found = load_detector("linear_fit")(view)(np.rint(picture + noise).clip(0, 255).astype(np.uint8))
+    off = found.xy - at
+    assert len(found)
+    if length < 20:
+        assert len(found) == 1
+        assert np.hypot(*off[0]) < 0.15
+        assert not found.flags[0] & PositionFlag.MISFIT
+    else:
+        assert (np.abs(off) < 3 * np.sqrt(found.cov[:, [0, 1], [0, 1]])).all()
+        assert (found.flags & PositionFlag.MISFIT).all()
