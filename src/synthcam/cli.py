@@ -16,7 +16,6 @@ import typer
 from synthcam_shared.application import make_command_line, progress_bar
 from synthcam_shared.application import run as run_command
 from synthcam_shared.errors import InputError, NoGL
-from synthcam_shared.settings import did_you_mean
 
 app = make_command_line(
     "synthcam", "Simulate and render rolling balls that collide, with the ground truth of their motion."
@@ -316,6 +315,7 @@ def effects(
     """
     add_effect_folders(folder)
     from synthcam.library import library
+    from synthcam_shared.settings import did_you_mean
 
     known = library()
     if name is not None and name not in known:

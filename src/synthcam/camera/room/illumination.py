@@ -223,8 +223,16 @@ class Illumination:
             return disc.find_visible_share(points, way, size, centre, soft)
         offset, radius = centre - points, float(self.radii[ball])
         far = np.maximum(np.sqrt(dot(offset, offset)), radius)
-        apart = np.arccos(np.clip(dot(offset, way) / far, -1, 1))
-        return visible_fraction(np.hypot(size, 2 * soft / far), np.arcsin(np.clip(radius / far, 0, 1)), apart)
+        cosine = dot(offset, way) / far
+        # Most balls are beside the lamp: cos x >= 1 - x^2/2, and asin x <= pi/2 x.
+        widest = size + (2 * soft + np.pi / 2 * radius) / far
+        before = np.flatnonzero(cosine > 1 - widest * widest / 2)
+        out = np.ones(len(points))
+        if len(before):
+            far, wide = far[before], np.hypot(size[before], 2 * soft / far[before])
+            apart = np.arccos(np.clip(cosine[before], -1, 1))
+            out[before] = visible_fraction(wide, np.arcsin(np.clip(radius / far, 0, 1)), apart)
+        return out
 
     def _neighbours(self, ball: int, centres: Array, reach: float = np.inf) -> list[int]:
         """Other balls up to `reach` radii away, or as far as a shadow falls; of two balls the other one."""
