@@ -408,8 +408,8 @@ def _make_renderer(matte: bool, optics: bytes) -> Any:
 
 
 def has_opengl_started() -> bool:
-    """Tell whether OpenGL may have started in this process, which must not be copied then."""
-    return "synthcam.camera.render" in sys.modules
+    """Tell whether OpenGL may have started in this process, by any library; it must not be copied then."""
+    return not sys.modules.keys().isdisjoint({"synthcam.camera.render", "OpenGL"})
 
 
 def _lower(lamp: Lamp, by: float) -> Lamp:

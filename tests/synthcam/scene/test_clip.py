@@ -1,6 +1,8 @@
 """A clip in memory equals that of a dataset of the same scene and seed, to the last bit."""
 
 import json
+import sys
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
@@ -9,6 +11,7 @@ import tifffile
 
 import synthcam
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
+from synthcam.scene.clip import has_opengl_started
 from synthcam.scene.scene import Scene
 from synthcam_shared.errors import InputError
 
@@ -85,3 +88,11 @@ def test_the_striker_comes_as_the_scene_says():
     assert [truth[k] for k in ("u2ix", "u2iy", "side2i")] == pytest.approx([0.05, 0.1, 0.2])
     with pytest.raises(InputError, match=r"launch.side: of a pair's striker; expected 0"):
         Scene.read("oblique", launch={"kind": "single", "side": 0.2}).draw(seed=1)
+
+
+def test_opengl_that_another_library_loads_may_have_started(monkeypatch):
+    for name in ("synthcam.camera.render", "OpenGL"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    assert not has_opengl_started()
+    monkeypatch.setitem(sys.modules, "OpenGL", ModuleType("OpenGL"))
+    assert has_opengl_started()
