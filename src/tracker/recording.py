@@ -42,6 +42,7 @@ from tracker.detection.diagnose import (
     describe_other_specks,
     explain_no_discs,
     explain_no_glints,
+    explain_no_paths,
     follow_bodies,
     warn_of_missed_examples,
     warn_of_moving_camera,
@@ -551,7 +552,8 @@ def track_clip(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracke
     if clip.frames.seconds is not None:
         tracks = replace(tracks, time=clip.frames.seconds[np.searchsorted(numbers, tracks.frame)])
     if view.takes is not None:
-        why = "" if len(tracks) else explain_no_discs(clip.frames, view)
+        seen = len(np.unique(found.glints.frame))
+        why = "" if len(tracks) else explain_no_paths(seen) or explain_no_discs(clip.frames, view)
     else:
         why = explain_no_glints(clip.frames, view, found.glints)
     notes = make_notes(NoteKind.DETECTOR, found.notes, clip.number)

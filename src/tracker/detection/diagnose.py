@@ -86,6 +86,13 @@ def explain_no_discs(frames: Sequence[Any], view: View) -> str:
     return "nothing round moves on a still background"
 
 
+def explain_no_paths(frames: int) -> str:
+    """The reason why balls that are found in this number of frames make no track; '' of fewer than 10 frames."""
+    if frames < 10:
+        return ""
+    return f"no path: {frames} frames show a round body, but its steps from frame to frame are those of no ball"
+
+
 def measure_camera_motion(pictures: Sequence[NDArray[Any]]) -> float:
     """Measure the largest motion of the background from the first of these pictures, px; 0 where none is seen.
 

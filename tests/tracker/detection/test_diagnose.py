@@ -3,8 +3,11 @@
 import cv2
 import numpy as np
 import pytest
+from tracker_discs import film
 
 import tracker
+from tracker.camera.film_in_memory import wrap_frames
+from tracker.camera.recordings import make_recording
 from tracker.detection.candidates import estimate_empty_plate
 from tracker.detection.diagnose import (
     LooseEnds,
@@ -14,6 +17,7 @@ from tracker.detection.diagnose import (
     warn_of_moving_camera,
 )
 from tracker.detection.link import Tracks
+from tracker.recording import track_clip
 
 SIZE, LAST = (400, 300), 99
 
@@ -145,3 +149,15 @@ def test_dark_specks_are_followed_in_the_channel_dark(channel, count):
     result = tracker.track(np.array(speckled(8, 16)), channel=channel, detector="linear_fit")
     lengths = result.tracks.groupby("particle").size()
     assert 0.8 * count <= (lengths >= 8).sum() <= 1.1 * count
+
+
+def test_a_ball_that_is_found_but_jumps_about_is_not_called_unseen():
+    """As in a film whose time stamps are wrong: its steps predict nothing."""
+    rng = np.random.default_rng(3)
+    jumps = rng.uniform([30, 30], [170, 130], (30, 2))
+    clip = make_recording(0, wrap_frames(film(rng, jumps[None], radius=24.0)), None)
+    tracked = track_clip(clip, "discs")
+    assert len(tracked.tracks) == 0
+    assert (
+        tracked.reason == "no path: 30 frames show a round body, but its steps from frame to frame are those of no ball"
+    )
