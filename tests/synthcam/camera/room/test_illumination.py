@@ -131,3 +131,29 @@ def test_a_disc_takes_the_light_of_the_rays_that_it_meets():
         exact = 0.4 * is_free(point, sky.T).mean()
         exact += (shade.bare(point[None])[0] - 0.4) * is_free(point, spots - point).mean()
         assert value == pytest.approx(exact, abs=most)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_ball_leaves_the_whole_lamp_visible_only_where_no_ray_to_its_rim_meets_it(seed):
+    """Points around and under a ball, against rays to the rim of a disc of the lamp's size that faces each point."""
+    rng = np.random.default_rng(seed)
+    light, centre = shade(0.3), np.array([0.0, 0.0, R])
+    (cell,) = light.cells
+    way = rng.normal(size=(3000, 3))
+    points = centre + way / np.linalg.norm(way, axis=1)[:, None] * R * (1 + rng.exponential(1.0, (3000, 1)))
+    seen = light._visible_share(0, cell, points, centre)
+    to_lamp = cell.position - points
+    far = np.linalg.norm(to_lamp, axis=1)
+    wide = np.sqrt(cell.area * np.maximum(-(to_lamp @ cell.facing) / far, 1e-6) / np.pi) / far
+    axis = to_lamp / far[:, None]
+    across = np.cross(axis, [0.3, 0.5, 0.8])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    hit = np.zeros(len(points), bool)
+    for turn in np.linspace(0, 2 * np.pi, 64, endpoint=False):
+        side = np.cos(turn) * across + np.sin(turn) * np.cross(axis, across)
+        ray = np.cos(wide)[:, None] * axis + np.sin(wide)[:, None] * side
+        along = ((centre - points) * ray).sum(axis=1)
+        hit |= (along > 0) & (np.linalg.norm(points + along[:, None] * ray - centre, axis=1) < R)
+    assert 300 < hit.sum() < 2000
+    assert (seen[hit] < 1).all()
+    assert (seen[~hit] > 0.995).all()  # 64 rays may miss what little the ball hides
