@@ -64,7 +64,8 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[
         offset = float(launch[1] * gap[0] - launch[0] * gap[1]) / (speed * diameter)
         speed_std = float(np.hypot(s1, s2))
         drift, drift_std = parts[0]
-        parting = measure_first_parting(apart[inside:end] - diameter, noise) / float(np.median(np.diff(time)))
+        excess = apart[inside:end] - diameter
+        parting = measure_first_parting(excess, noise) / float(np.median(np.diff(time)))
         leave = all(v > parting_sigma * std for v, std in parts)
         yield StayingPair(
             struck=struck,
@@ -77,7 +78,7 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[
             offset=offset,
             offset_std=float(np.hypot(noise / np.sqrt(len(early)), speed_std / speed * np.hypot(*gap)) / diameter),
             r_std=float(np.linalg.norm([drift, drift_std, parting]) / abs(closing)),
-            bounces=leave or parting > limit,
+            bounces=leave or parting > limit or leave_contact(excess, noise, diameter),
         )
 
 
@@ -104,6 +105,23 @@ def measure_first_parting(excess: Array, noise: float) -> float:
     if not rise > 4 * noise * np.sqrt(1 / smoothed_frames + 1 / first):
         return 0.0
     return rise / (1 + int(np.argmax(rises > 0.9 * rise)))  # later frames may only be noise
+
+
+def leave_contact(excess: Array, noise: float, diameter: float) -> bool:
+    """Decide whether balls lie apart in the end, or swing out by more than they were nearer, as no tape does.
+
+    excess: as for `measure_first_parting`.
+    """
+    smoothed_frames = 5  # over which the separation is averaged
+    largest_fault = 0.005  # of the given diameter, as a share
+    late = excess[len(excess) // 2 :]
+    if late.mean() > max(largest_fault * diameter, 5 * noise / np.sqrt(len(late))):
+        return True
+    if len(excess) < smoothed_frames:
+        return False
+    smooth = np.convolve(excess, np.ones(smoothed_frames) / smoothed_frames, "valid")
+    farthest = int(np.argmax(smooth))
+    return bool(smooth[farthest] + excess[: farthest + 1].min() > 4 * noise / np.sqrt(smoothed_frames))
 
 
 def fit_slope(time: Array, apart: Array, noise: float) -> tuple[float, float]:
