@@ -75,11 +75,9 @@ class SoftHit:
 
     def positions(self, t: np.ndarray) -> np.ndarray:
         """(2, n, 2) m at times t since the first touch: struck, striker."""
-        start = np.array([-np.sqrt(1 - self.b**2), -self.b]) * self.diameter  # of the striker at the touch
+        state, begin = self._state_at_touch(), 0.0
         out = np.zeros((2, len(t), 2))
-        out[1] = start + np.outer(t, [self.v0, 0.0])
-        # positions (4), velocities (4), velocities at which they would roll (4)
-        state, begin = np.concatenate([[0, 0], start, [0, 0], [self.v0, 0], [0, 0], [self.v0, 0]]), 0.0
+        out[1] = state[2:4] + np.outer(t, [self.v0, 0.0])
         for _ in range(4):  # balls that slide may touch again
             times, way = self._touch(state, t[-1] - begin)
             within = (t >= begin) & (t <= begin + times[-1])
@@ -93,6 +91,16 @@ class SoftHit:
                 break
             state, begin = self._slide_and_roll(state, np.array([again]))[0], begin + again
         return out
+
+    def end_of_force(self) -> tuple[float, np.ndarray]:
+        """Seconds for which the force lasts, and the state (12,) when it ends."""
+        times, way = self._touch(self._state_at_touch(), np.inf)
+        return float(times[-1]), way[-1]
+
+    def _state_at_touch(self) -> np.ndarray:
+        """Positions (4), velocities (4), and velocities at which the bodies would roll (4)."""
+        start = np.array([-np.sqrt(1 - self.b**2), -self.b]) * self.diameter  # of the striker
+        return np.concatenate([[0, 0], start, [0, 0], [self.v0, 0], [0, 0], [self.v0, 0]])
 
     def _touch(self, state: np.ndarray, left: float) -> tuple[np.ndarray, np.ndarray]:
         """Times (n,) since a touch, and states (n, 12), until the force ends."""

@@ -178,8 +178,8 @@ def turn_of_impulse(
 ) -> NDArray[np.inexact]:
     """Angle between the impulse and the line of centres at the crossing of the paths, in the sense in which it turns.
 
-    way: that the balls move against each other before the contact in the time that it lasts, in diameters; excess as for
-    `delay_of_slides`. Balls are further apart late in the contact, where the line turns slower. Five laws of the force
+    way: of the free balls against each other in the time of the contact, in diameters; excess as for `delay_of_slides`.
+    Balls are further apart late in the contact, where the line turns slower. Five laws of the force
     integrate to .8 +- .8 % of its turn.
     """
     return np.asarray(0.008 * (1 + excess) * np.sin(beta) * way)

@@ -7,7 +7,7 @@ import pytest
 from tracker_contacts import SoftHit
 
 import tracker
-from tracker.measurement.collision.staying_together import find_staying_pairs, measure_first_parting
+from tracker.measurement.collision.staying_together import find_staying_pairs, leave_contact, measure_first_parting
 from tracker.measurement.positions import BallTrack
 from tracker.report.estimates_text import format_for_terminal
 
@@ -84,6 +84,39 @@ def test_balls_that_part_slowly_after_a_second_touch_do_not_stay(seed):
     row = measure(hit, seed).iloc[0]
     assert row["status"] != "stay_together"
     assert not abs(row["r"] - hit.r) > 4 * row["r_std"]  # no value, or one that holds
+
+
+def find(hit, seed):
+    """Pairs that stay together, by the tracks alone."""
+    balls = []
+    for particle, part in hit.tracks(np.random.default_rng(seed)).groupby("particle"):
+        cov, frame = np.tile(np.eye(2) * hit.noise**2, (len(part), 1, 1)), part["frame"].to_numpy()
+        balls.append(BallTrack(particle, frame, frame / hit.fps, part[["x", "y"]].to_numpy(), cov, 1e-6))
+    return [pair for pair in find_staying_pairs(*balls, hit.diameter) if not pair.bounces]
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    "hit",
+    [
+        SoftHit(0.0107, 0.281, v0=0.357, friction=0.215, noise=9.7e-5, law="cut", before=40, after=175),
+        SoftHit(0.0147, 0.231, v0=0.233, friction=0.144, noise=5.9e-5, law="cut", fps=250.0, before=20, after=87),
+        SoftHit(0.0063, 0.237, v0=0.226, friction=0.197, noise=1.1e-4, law="viscous", before=40, after=175),
+    ],
+)
+def test_balls_that_lie_apart_in_the_end_do_not_stay(hit, seed):
+    """Friction stops them 1 or 2 % of a diameter apart."""
+    assert find(hit, seed) == []
+
+
+def test_balls_that_leave_each_other_by_more_than_they_were_nearer_do_not_stay():
+    """Friction stops balls on a parabola, whose first touch has no depth. Tape swings out by less than its depth."""
+    time, noise = np.arange(0.9, 80), 7e-5
+    scatter = np.random.default_rng(0).normal(0, noise, 81)
+    ball = np.maximum(3e-4 * (1 - ((time - 3) / 3) ** 2), 0.0) * (time < 6)
+    assert leave_contact(np.append(-3e-5, ball) + scatter[: len(ball) + 1], noise, 0.05)
+    tape = -7e-4 * np.exp(-time / 4 * 0.79) * np.sin(np.pi * time / 4)  # the next swing is .456 of the one before
+    assert not leave_contact(np.append(-3e-5, tape) + scatter[: len(tape) + 1], noise, 0.05)
 
 
 def test_balls_that_lie_beside_each_other_do_not_meet():
