@@ -90,7 +90,7 @@ def explain_no_paths(frames: int) -> str:
     """The reason why balls that are found in this number of frames make no track; '' of fewer than 10 frames."""
     if frames < 10:
         return ""
-    return f"no path: {frames} frames show a round body, but its steps from frame to frame are those of no ball"
+    return f"no path: {frames} frames show what may be a ball, but its steps from frame to frame are those of no ball"
 
 
 def measure_camera_motion(pictures: Sequence[NDArray[Any]]) -> float:

@@ -109,7 +109,7 @@ def check_same_dataset(verdict: DetectorScore, results: Path, dataset: Path) -> 
     Such pairs are as far apart as the gate lets them be: by half of it along each axis.
     """
     paired, false = (int(verdict.localisation[name]) for name in ("n", "false"))
-    is_random = paired < 0.5 * false and verdict.localisation["rmse_px"] > 0.25 * GATE_PX
+    is_random = paired < 0.25 * false and verdict.localisation["rmse_px"] > 0.3 * GATE_PX
     if paired < 0.02 * false or is_random:
         raise InputError(
             f"{results}: {paired} of {paired + false} positions are within {GATE_PX:g} px of a true one of {dataset};"

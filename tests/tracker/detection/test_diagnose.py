@@ -159,5 +159,6 @@ def test_a_ball_that_is_found_but_jumps_about_is_not_called_unseen():
     tracked = track_clip(clip, "discs")
     assert len(tracked.tracks) == 0
     assert (
-        tracked.reason == "no path: 30 frames show a round body, but its steps from frame to frame are those of no ball"
+        tracked.reason
+        == "no path: 30 frames show what may be a ball, but its steps from frame to frame are those of no ball"
     )
