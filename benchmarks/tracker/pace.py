@@ -13,12 +13,15 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import time
 import warnings
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import cv2
 import numpy as np

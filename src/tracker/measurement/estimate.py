@@ -162,7 +162,8 @@ def _measure_balls(
         return _measure_crowd(balls, camera, settings) or [nothing]
     found = find_contacts(balls, camera.ball_diameter, marked=marked)
     near = find_near_pairs(balls, MAX_DISTANCE * camera.ball_diameter, 1.0)
-    together = [stay for a, b in near for stay in find_staying_pairs(a, b, camera.ball_diameter)]
+    may_roll = not camera.glides and camera.body == BODIES["ball"]
+    together = [stay for a, b in near for stay in find_staying_pairs(a, b, camera.ball_diameter, may_roll=may_roll)]
     candidates = [candidate for candidate in found if candidate.is_marked(marked)]
     together = [stay for stay in together if not any(_is_within(candidate, stay) for candidate in candidates)]
     stays = [stay for stay in together if not stay.bounces]

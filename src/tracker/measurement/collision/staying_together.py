@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from synthcam_shared.arrays import Array
+from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import fit_velocity
 from tracker.measurement.positions import BallTrack, measure_separation
 
@@ -31,8 +32,13 @@ class StayingPair:
     bounces: bool  # whether they part first or in the end, so that this is no restitution
 
 
-def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[StayingPair]:
-    """Find where two balls meet and then keep their distance of about a diameter (m)."""
+def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float, *, may_roll: bool = True) -> Iterator[StayingPair]:
+    """Find where two balls meet and then keep their distance of about a diameter (m).
+
+    may_roll: friction may bring them back after a bounce, as it does with balls that roll. The error of r then contains
+    the bounce that the noise may hide.
+    """
+    usual_friction = 0.2  # of balls that slide on a plate
     max_speed_share = 0.03  # speed at which balls that stay together may move apart, over the closing speed
     min_frames, approach_frames = 10, 8  # for which they stay together; before the touch, which give the closing speed
     # Standard errors of that speed from which on the balls part, as rolling ones do that touch twice. In 20 simulated
@@ -66,6 +72,8 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[
         drift, drift_std = parts[0]
         excess = apart[inside:end] - diameter
         parting = measure_first_parting(excess, noise) / float(np.median(np.diff(time)))
+        back = 2 * usual_friction * GRAVITY if may_roll else 0.0  # the striker gets faster, and the struck ball slower
+        hidden = float(np.sqrt(2 * back * limit_hidden_bounce(excess, noise)))
         leave = all(v > parting_sigma * std for v, std in parts)
         yield StayingPair(
             struck=struck,
@@ -77,7 +85,7 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float) -> Iterator[
             speed_std=speed_std,
             offset=offset,
             offset_std=float(np.hypot(noise / np.sqrt(len(early)), speed_std / speed * np.hypot(*gap)) / diameter),
-            r_std=float(np.linalg.norm([drift, drift_std, parting]) / abs(closing)),
+            r_std=float(np.linalg.norm([drift, drift_std, parting, hidden]) / abs(closing)),
             bounces=leave or parting > limit or leave_contact(excess, noise, diameter),
         )
 
@@ -105,6 +113,18 @@ def measure_first_parting(excess: Array, noise: float) -> float:
     if not rise > 4 * noise * np.sqrt(1 / smoothed_frames + 1 / first):
         return 0.0
     return rise / (1 + int(np.argmax(rises > 0.9 * rise)))  # later frames may only be noise
+
+
+def limit_hidden_bounce(excess: Array, noise: float) -> float:
+    """Measure how far apart a bounce may have taken the balls, m: further than tape swings, or by as much as the noise.
+
+    excess: as for `measure_first_parting`.
+    """
+    smoothed_frames = min(5, len(excess))
+    smooth = np.convolve(excess, np.ones(smoothed_frames) / smoothed_frames, "valid")
+    farthest = int(np.argmax(smooth))
+    seen = smooth[farthest] + smooth[: farthest + 1].min()
+    return max(float(seen), 0.0) + noise / float(np.sqrt(smoothed_frames))
 
 
 def leave_contact(excess: Array, noise: float, diameter: float) -> bool:
