@@ -378,6 +378,13 @@ def _fit(
             return add_camera_errors_to_lasting(lasting, camera), []
         if isinstance(lasting, str) and (is_wide or lasting != TOO_FEW):
             return lasting, []
+        is_longer = lasting is None and nearer > doubtful_sigma
+        if (
+            is_longer
+            and not isinstance(read, str)
+            and not (read.is_misfit or shows_friction(read.tied_values, settings))
+        ):
+            return HIDDEN_SLIDE, []  # no slide shows how long it lasts
     return read, flags
 
 

@@ -313,3 +313,12 @@ def test_scores_of_contacts_of_all_kinds():
     assert len(found) > 4
     assert np.abs(found).max() < 4
     assert np.sqrt(np.mean(np.square(found))) < 1 + 4 / np.sqrt(2 * len(found))
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.gate), pytest.param(3, marks=pytest.mark.gate)])
+def test_a_contact_of_two_frames_whose_slides_end_in_a_second_touch_gives_no_wrong_restitution(seed):
+    """The balls touch at less than a diameter, but positions before the second touch suit straight lines as well."""
+    hit = SoftHit(0.0073, 0.28, v0=0.36, b=0.12, friction=0.21, fps=250.0, before=20, after=87, noise=1.06e-4)
+    hit = replace(hit, law="viscous")
+    row = tracker.measure(hit.tracks(np.random.default_rng(seed)), hit.camera, unit="m").estimates.iloc[0]
+    assert row["status"] != "ok" or abs(row["r"] - hit.r) < 4 * row["r_std"]
