@@ -278,7 +278,7 @@ def _measure_collision(
     unknown = {track.particle: EarlierHit(np.inf) for _, track in contact.pair.balls}
     if contact.reason:
         return row, unknown
-    read, flags = _fit(contact, candidate, earlier, camera, settings)
+    read, flags = _fit(contact, candidate, earlier, camera, settings, touches_again=again is not None)
     lasting = None if isinstance(read, str) else read.lasting
     seen = contact if lasting is None else replace(contact, first=lasting.first, last=lasting.last)
     masses = _find_masses(contact, camera, letters)
@@ -344,6 +344,8 @@ def _fit(
     earlier: dict[int, EarlierHit],
     camera: Camera,
     settings: FitSettings,
+    *,
+    touches_again: bool,
 ) -> tuple[CollisionFits | str, list[Flag]]:
     """The fits of a collision with the camera's errors, or why there are none; flags of the contact's distance.
 
@@ -378,13 +380,13 @@ def _fit(
             return add_camera_errors_to_lasting(lasting, camera), []
         if isinstance(lasting, str) and (is_wide or lasting != TOO_FEW):
             return lasting, []
-        is_longer = lasting is None and nearer > doubtful_sigma
+        is_longer = touches_again and lasting is None and nearer > doubtful_sigma
         if (
             is_longer
             and not isinstance(read, str)
             and not (read.is_misfit or shows_friction(read.tied_values, settings))
         ):
-            return HIDDEN_SLIDE, []  # no slide shows how long it lasts
+            return HIDDEN_SLIDE, []  # the few positions before the second touch show no slide
     return read, flags
 
 
