@@ -6,12 +6,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pandas as pd
 
+from discrepancy.data.momentum_balances import MomentumBalance, balance_groups
 from synthcam_shared.arrays import Array, Flags, Ints
+from tracker.camera.camera import Camera
+from tracker.detection.link import Tracks
 from tracker.measurement.camera_errors import remove_shared, shared_effects
 from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER
 from tracker.measurement.local.recommendation import NONE, recommend
@@ -32,10 +35,13 @@ class Contacts:
 
     Velocities are of approach, along and across the line of centres, m/s. friction: tangential over normal impulse.
     recoil: logarithm of the mass ratio, struck over striking body, that recoil shows, over that of the camera file.
+    turn: sine of the angle between the change of one velocity and the opposite of the other's; 0 without a third body.
     """
 
     clip: Ints  # (n,)
-    bodies: Ints  # (n, 2): the tracker's ids of the struck and the striking body in a film of a crowd; -1 in others
+    bodies: Ints  # (n, k): the tracker's ids of the struck and the striking body in a film of a crowd; -1 in others
+    levers: Array  # (n, k): change of the recoil by the logarithm of the mass of each body; 1 and -1 of two that meet
+    share: Array  # (n,): of a contact that a row is; groups of contacts have two rows, as `momentum_balances` says
     a_strikes: Flags  # (n,): whether ball a of the camera file strikes
     glides: Flags  # (n,): whether the bodies glide, and do not roll
     speed_n: Array
@@ -48,6 +54,8 @@ class Contacts:
     friction_std: Array
     recoil: Array
     recoil_std: Array
+    turn: Array
+    turn_std: Array
     shared: Array  # (n, 3, k): changes of QUANTITIES by one standard error of each error that several contacts share
 
     @classmethod
@@ -70,9 +78,30 @@ class Contacts:
                 one |= _read_slip(row, (slips or {}).get(int(row["clip"]), {}), one["friction_std"])
         columns = {f.name: np.array([row[f.name] for row in read]) for f in fields(cls) if f.name != "shared"}
         columns["bodies"] = columns["bodies"].reshape(-1, 2).astype(np.int64)
+        columns["levers"] = columns["levers"].reshape(-1, 2)
         changes = np.array([_differentiate_quantities(row) for row in every]).reshape(-1, len(QUANTITIES), len(NAMES))
         table = pd.DataFrame({"local_shared": [row["local_shared"] for row in every], "fit": "local"})
         return cls(**columns, shared=changes @ shared_effects(table, NAMES))
+
+    def with_balances(self, clip: int, balances: Sequence[MomentumBalance]) -> Self:
+        """Add two rows for each group of contacts of a film, one for each component; they have a recoil alone."""
+        count = 2 * len(balances)
+        if not count:
+            return self
+        most = max(self.bodies.shape[1], *(len(each.balls) for each in balances))
+        bodies, levers = np.full((count, most), -1), np.zeros((count, most))
+        for k, each in enumerate(balances):
+            bodies[2 * k : 2 * k + 2, : len(each.balls)] = each.balls
+            levers[2 * k : 2 * k + 2, : len(each.balls)] = each.levers.T
+        own: dict[str, Any] = {f.name: np.full(count, np.nan) for f in fields(self)}
+        own |= {"clip": np.full(count, clip), "bodies": bodies, "levers": levers, "share": np.full(count, 0.5)}
+        own |= dict.fromkeys(("a_strikes", "glides"), np.zeros(count, dtype=bool))
+        own |= {"recoil": np.concatenate([each.gained for each in balances])}
+        own |= {"recoil_std": np.repeat([each.std for each in balances], 2)}
+        own |= {"shared": np.zeros((count, *self.shared.shape[1:]))}
+        wide = np.pad(self.bodies, ((0, 0), (0, most - self.bodies.shape[1])), constant_values=-1)
+        here = vars(self) | {"bodies": wide, "levers": np.pad(self.levers, ((0, 0), (0, most - self.levers.shape[1])))}
+        return replace(self, **{name: np.concatenate([here[name], own[name]]) for name in own})
 
     def __len__(self) -> int:
         return len(self.clip)
@@ -134,16 +163,19 @@ def _differentiate_quantities(row: Mapping[Any, Any]) -> Array:
     return np.nan_to_num(out)
 
 
-def _read_row(row: Mapping[Any, Any], stated: float) -> dict[str, float]:
+def _read_row(row: Mapping[Any, Any], stated: float) -> dict[str, Any]:
     values = _read_values(row)
     (v0, _), (b, b_std), (r, r_std), (s, s_std), (ratio, ratio_std) = values.values()
     told = 1 / stated if row["striker"] == "a" else stated
+    turn, turn_std = _find_turn(row)
     speed_n, speed_t = v0 * np.sqrt(max(1 - b * b, 0.0)), v0 * abs(b)
     by_b, by_r, by_s = _differentiate_quantities(row)[1, 1:4]
     glides = row.get("motion_local") == "glide"
     return {
         "clip": int(row["clip"]),
         "bodies": (-1, -1),
+        "levers": (1.0, -1.0),
+        "share": 1.0,
         "a_strikes": row["striker"] == "a",
         "glides": glides,
         "speed_n": speed_n,
@@ -156,7 +188,25 @@ def _read_row(row: Mapping[Any, Any], stated: float) -> dict[str, float]:
         "friction_std": float(np.linalg.norm([by_b * b_std, by_r * r_std, by_s * s_std])),
         "recoil": float(np.log(ratio / told)) if ratio > 0 else np.nan,
         "recoil_std": ratio_std / ratio if ratio > 0 else np.nan,
+        "turn": turn,
+        "turn_std": turn_std,
     }
+
+
+def _find_turn(row: Mapping[Any, Any]) -> tuple[float, float]:
+    """Find by how much the velocities of both bodies do not change in opposite directions; NaN if it is not known.
+
+    Masses do not matter. The error is that of the balance of momentum across the line of centres.
+    """
+    names = [f"v{k}{axis}_local" for k in AXES for axis in "xy"]
+    if not (_is_known(row, "balance_t_local") and all(_is_known(row, name) for name in names)):
+        return np.nan, np.nan
+    into1, into2, out1, out2 = np.array([float(row[name]) for name in names]).reshape(4, 2)
+    one, other = out1 - into1, into2 - out2
+    size = float(np.hypot(*one) * np.hypot(*other))
+    if not size > 0:
+        return np.nan, np.nan
+    return float(one[0] * other[1] - one[1] * other[0]) / size, float(row["balance_t_local_std"]) / size**0.5
 
 
 def _read_slip(
@@ -179,31 +229,52 @@ def read_contacts(measured: Path | Sequence[Result] | pd.DataFrame) -> Contacts:
     if isinstance(measured, pd.DataFrame) or (isinstance(measured, Path) and not measured.is_dir()):
         return Contacts.of([])
     rows, stated, slips = list[dict[Any, Any]](), dict[int, float](), dict[int, dict[int, Slip]]()
-    for number, table, ratio, read_all in _iterate_estimates(measured):
-        own = table.to_dict("records")
+    balances = dict[int, list[MomentumBalance]]()
+    for film in _iterate_films(measured):
+        own = film.rows.to_dict("records")
         rows += own
-        stated[number] = ratio
-        if (table["status"] == CROWD).any():
-            slips[number] = trace_slips(own, read_all())
-    return Contacts.of(rows, stated, slips)
+        stated[film.clip] = film.mass_ratio
+        if (film.rows["status"] == CROWD).any():
+            contacts = film.read_contacts()
+            slips[film.clip] = trace_slips(own, contacts)
+            known = {int(row["collision"]) for row in own if np.isfinite(row["mass_ratio"])}
+            balances[film.clip] = balance_groups(*film.read_tracks(), contacts, known)
+    found = Contacts.of(rows, stated, slips)
+    for clip, groups in balances.items():
+        found = found.with_balances(clip, groups)
+    return found
 
 
-def _iterate_estimates(
-    measured: Path | Sequence[Result],
-) -> Iterator[tuple[int, pd.DataFrame, float, Callable[[], pd.DataFrame]]]:
-    """Yield of clips with local estimates: number, rows, stated mass ratio, and a function that gives all contacts."""
+class _Film(NamedTuple):
+    """The local estimates of a clip, and functions that read more of it."""
+
+    clip: int
+    rows: pd.DataFrame
+    mass_ratio: float  # that the camera file states
+    read_contacts: Callable[[], pd.DataFrame]
+    read_tracks: Callable[[], tuple[Tracks, Camera]]
+
+
+def _iterate_films(measured: Path | Sequence[Result]) -> Iterator[_Film]:
+    """Yield the clips with local estimates."""
     needed = {"v0_local", "b_local", "r_local", "s_local", "mass_ratio", "local", "local_shared", "status"}
     if isinstance(measured, Path):
         table = pd.read_parquet(measured / "estimates.parquet")
         for number, rows in table.groupby("clip") if needed <= set(table) else ():
             clip = int(str(number))
             ratio = read_clip(measured, clip)[1].mass_ratio
-            yield clip, rows, ratio or 1.0, partial(read_all_contacts, measured, clip)
+            read = partial(read_all_contacts, measured, clip), partial(read_clip, measured, clip)
+            yield _Film(clip, rows, ratio or 1.0, *read)
         return
     for k, result in enumerate(measured):
         if needed <= set(result.estimates):
             ratio = result.camera.mass_ratio
-            yield k, result.estimates.assign(clip=k), ratio or 1.0, partial(getattr, result, "contacts")
+            read = partial(getattr, result, "contacts"), partial(_get_tracks, result)
+            yield _Film(k, result.estimates.assign(clip=k), ratio or 1.0, *read)
+
+
+def _get_tracks(result: Result) -> tuple[Tracks, Camera]:
+    return result.found, result.camera
 
 
 @dataclass(frozen=True)

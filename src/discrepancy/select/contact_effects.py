@@ -14,7 +14,9 @@ The same contacts cannot distinguish all causes. Such causes are named together.
 
 In a film of a crowd a third body may meet two balls within a frame. Then the estimate of their contact is wrong by far
 more than its error. So each contact of a crowd has a probability of 5 % to be odd, with a wide error. A law pays for
-each contact that it takes as odd. Each ball may be the heavier one, and trying them all is paid for as well.
+each contact that it takes as odd. Two balls that meet alone get opposite impulses, whatever their masses, and a third
+body turns them. So the angle between the impulses counts in the price of an odd contact. Each ball may be the heavier
+one, and trying them all is paid for as well.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from discrepancy.policy import current_policy
 from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.random_effects import fit_random_effects
 
-ODD_ERROR = 0.3  # standard error of restitution, friction and recoil of such a contact
+ODD_ERROR = 0.3  # standard error of restitution, friction, recoil and turn of such a contact
 # Price of an odd contact in -2 log likelihood. A third body disturbs 5 %: 2 of 48 and 1 of 33 in two films of thirty.
 ODD_PRICE = 2 * math.log(1 / 0.05 - 1)
 
@@ -51,13 +53,13 @@ class ContactLaw:
     trials: int = 1
     limit: Callable[[Contacts], Array] | None = None  # (n, 1) of the quantity, where surfaces of balls stick
 
-    def fit(self, contacts: Contacts, value: Array, errors: tuple[Array, Array]) -> _Fit:
-        """Fit the law to values (n,) with their own errors (n,) and shared ones (n, k).
+    def fit(self, contacts: Contacts, value: Array, errors: tuple[Array, Array], price: Array) -> _Fit:
+        """Fit the law to values (n,) with their own errors (n,) and shared ones (n, k); price: of odd contacts (n,).
 
         In a crowd, contacts beyond the limit may have that value instead, if the law fits better so.
         """
         design = self.design(contacts)
-        found = plain = _Fit.of(value, *errors, design, contacts.of_crowd)
+        found = plain = _Fit.of(value, *errors, design, price)
         if self.limit is None or not contacts.of_crowd.all():
             return plain
         most, sticks = self.limit(contacts)[:, 0], np.zeros(len(value), dtype=bool)
@@ -67,7 +69,7 @@ class ContactLaw:
                 break
             sticks = now
             free = np.where(sticks[:, None], 0.0, design)
-            found = _Fit.of(value - np.where(sticks, most, 0.0), *errors, free, contacts.of_crowd)
+            found = _Fit.of(value - np.where(sticks, most, 0.0), *errors, free, price)
         return min(found, plain, key=lambda fit: fit.cost)
 
     @property
@@ -111,6 +113,29 @@ class ContactClaim:
     odd: int = 0
 
 
+def price_odd_contacts(contacts: Contacts, quantity: str) -> Array:
+    """Price (n,) of taking a contact as odd, in -2 log likelihood; infinite for two bodies that meet alone.
+
+    It holds what else the contact shows, which is likelier either with its own error or with that of an odd contact:
+    the turn of the impulses, and for the recoil also the restitution, beside that of the film.
+    """
+    price = ODD_PRICE * contacts.share + _compare_with_odd(contacts.turn, contacts.turn_std**2)
+    if not contacts.of_crowd.any():
+        return np.full(len(contacts), np.inf)
+    known = np.isfinite(contacts.restitution) & np.isfinite(contacts.restitution_std)
+    if quantity == "recoil" and known.any():
+        (std, shared), ones = contacts.select(known).split_errors("restitution"), np.ones((int(known.sum()), 1))
+        usual = _Fit.of(contacts.restitution[known], std, shared, ones, price[known])
+        price[known] += _compare_with_odd(usual.value - usual.predict(), std**2 + usual.scatter**2)
+    return np.where(contacts.of_crowd, price, np.inf)
+
+
+def _compare_with_odd(value: Array, variance: Array) -> Array:
+    """By how much, in -2 log likelihood, values about zero are less likely of odd contacts; 0 where not known."""
+    odd = variance + ODD_ERROR**2
+    return np.nan_to_num(value**2 * (1 / odd - 1 / variance) + np.log(odd / variance))
+
+
 def _ones(contacts: Contacts) -> Array:
     return np.ones((len(contacts), 1))
 
@@ -145,8 +170,7 @@ def _by_body(contacts: Contacts) -> Array:
 
 
 def _of_ball(ball: int, contacts: Contacts) -> Array:
-    struck, striking = contacts.bodies.T
-    return np.asarray(((struck == ball) * 1.0 - (striking == ball))[:, None])
+    return np.asarray(np.where(contacts.bodies == ball, contacts.levers, 0.0).sum(axis=1)[:, None])
 
 
 # The errors of b and r are in the friction and in the regressor of a share, so the data favour a share. Name both.
@@ -206,7 +230,8 @@ def _list_laws(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], le
     """The laws of a quantity; each ball of one crowd that has `least` contacts may be heavier, instead of ball a."""
     if quantity != "recoil" or not contacts.of_crowd.all():
         return laws
-    balls, counts = np.unique(contacts.bodies, return_counts=True)
+    balls = np.unique(contacts.bodies[contacts.bodies >= 0])
+    counts = np.array([contacts.share[(contacts.bodies == ball).any(axis=1)].sum() for ball in balls])
     several = len(np.unique(contacts.clip)) > 1  # its tracks are other balls in the next clip
     tried = [] if several else balls[counts >= least].tolist()
     return laws[0], *(
@@ -224,7 +249,8 @@ def _list_laws(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], le
 def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], least: int) -> ContactClaim:
     policy = current_policy()
     value, (std, shared) = getattr(contacts, quantity), contacts.split_errors(quantity)
-    fits = [law.fit(contacts, value, (std, shared)) for law in laws]
+    price = price_odd_contacts(contacts, quantity)
+    fits = [law.fit(contacts, value, (std, shared), price) for law in laws]
     sign = np.sign(contacts.slip_t) if quantity == "friction" else 1.0  # friction opposes the slip
     costs = [f.cost + policy.min_noise_gain * f.design.shape[1] + law.price for f, law in zip(fits, laws, strict=True)]
     sigmas = [
@@ -252,7 +278,7 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
         law=law.name,
         causes=tuple(dict.fromkeys(c for k in (best, *near) for c in laws[k].causes)) if best else (),
         numbers=_fit_numbers(fit.value[own], safe[own], shared[own], fit.design[own], law.numbers),
-        contacts=len(value),
+        contacts=round(float(contacts.share.sum())),
         scatter=fit.scatter,
         sigma=sigmas[best],
         left_out_sigma=gains[best],
@@ -283,24 +309,25 @@ class _Fit:
     scatter: float
     cost: float
     odd: Flags  # (n,): whether a value has a wide error
+    odd_price: Array  # (n,): of each value that is odd
 
     @classmethod
-    def of(cls, value: Array, std: Array, shared: Array, design: Array, may_be_odd: Flags) -> _Fit:
-        """Fit the scatter, and take values (n,) that may be odd as such, one after the other, while that costs less."""
-        odd = np.zeros(len(value), dtype=bool)
-        fit = cls._of(value, std, shared, design, odd)
-        while (may_be_odd & ~odd).any():
+    def of(cls, value: Array, std: Array, shared: Array, design: Array, odd_price: Array) -> _Fit:
+        """Fit the scatter, and take values (n,) as odd for their prices, one after the other, while that costs less."""
+        odd = odd_price < 0
+        fit = cls._of(value, std, shared, design, odd, odd_price)
+        while (np.isfinite(odd_price) & ~odd).any():
             one = odd.copy()
-            one[np.argmax(np.where(may_be_odd & ~odd, fit._leave_out()[0], -1.0))] = True
-            other = cls._of(value, std, shared, design, one)
+            one[np.argmax(np.where(odd, -np.inf, fit._leave_out()[0] - odd_price))] = True
+            other = cls._of(value, std, shared, design, one, odd_price)
             if other.cost >= fit.cost:
                 break
             fit, odd = other, one
         return fit
 
     @classmethod
-    def _of(cls, value: Array, own: Array, shared: Array, design: Array, odd: Flags) -> _Fit:
-        std, price = np.where(odd, np.hypot(own, ODD_ERROR), own), ODD_PRICE * float(odd.sum())
+    def _of(cls, value: Array, own: Array, shared: Array, design: Array, odd: Flags, odd_price: Array) -> _Fit:
+        std, price = np.where(odd, np.hypot(own, ODD_ERROR), own), float(odd_price[odd].sum())
 
         def cost(log_scatter: float) -> float:
             return _cost(value, std**2 + np.exp(2 * log_scatter), shared, design)
@@ -309,7 +336,8 @@ class _Fit:
         best = minimize_scalar(cost, bounds=(np.log(1e-4 * size), np.log(10 * size)), method="bounded")
         none = _cost(value, std**2, shared, design)
         scatter = float(np.exp(best.x)) if best.fun < none - 1e-6 else 0.0
-        return cls(value, std**2 + scatter**2, shared, design, scatter, min(float(best.fun), none) + price, odd)
+        cost_of_fit = min(float(best.fun), none) + price
+        return cls(value, std**2 + scatter**2, shared, design, scatter, cost_of_fit, odd, odd_price)
 
     def predict(self) -> Array:
         """Predict the values (n,) by the law."""
@@ -331,7 +359,8 @@ class _Fit:
     def _log_densities(self) -> Array:
         """Log predictive density of each value by all others; errors that they share leave its differences alone."""
         squares, share = self._leave_out()
-        return np.asarray(-0.5 * (squares + np.log(self.variance / share) + ODD_PRICE * self.odd))
+        price = np.where(self.odd, self.odd_price, 0.0)
+        return np.asarray(-0.5 * (squares + np.log(self.variance / share) + price))
 
     def _leave_out(self) -> tuple[Array, Array]:
         """Squared deviations (n,) of values from their predictions by all others, over the variance; and its share."""

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
 from tracker.gas.energy import SINKS, measure_losses
-from tracker.gas.free_paths import PathCuts, cut_free_paths, extrapolate_to_contact
+from tracker.gas.free_paths import FreePath, PathCuts, cut_free_paths, extrapolate_to_contact
 from tracker.gas.pair_correlation import pair_correlation
 from tracker.gas.temperature import (
     MIN_BALLS,
@@ -90,20 +90,8 @@ def measure_gas(
     Raises InputError if no frame has three balls with a velocity.
     """
     used = settings or GasSettings()
-    # each column has its own type even where there are no contacts
-    kinds = dict.fromkeys(("t_s", "energy_lost", "energy_lost_std"), float) | {"particle1": int, "particle2": int}
-    contacts = contacts.astype(kinds | {"misfit": bool}).sort_values("t_s", kind="stable").reset_index(drop=True)
-    margins = np.full(len(contacts), np.inf)  # half an exposure, and twice the error of the time of a contact
-    if "t_s_std" in contacts:
-        margins = max(ball.exposure for ball in balls) / 2 + 2 * contacts["t_s_std"].to_numpy(dtype=np.float64)
-    cuts = PathCuts(
-        window_rows=used.window_rows,
-        margins_s=np.fmin(margins, used.margin_frames / camera.fps),
-        max_gap_s=(used.max_gap_frames + 0.5) / camera.fps,
-        noise=measure_scatter_of_paths([(ball.frame, ball.position) for ball in balls]),
-        slides=not camera.on_air,
-    )
-    paths = cut_free_paths(balls, contacts, cuts)
+    contacts = sort_contacts(contacts)
+    paths = find_free_paths(balls, contacts, camera, used)[0]
     table = tabulate_velocities(paths) if paths else pd.DataFrame({"frame": []})
     variances = [np.trace(ball.cov - ball.fixed, axis1=1, axis2=2) / 2 for ball in balls]
     claimed = float(np.sqrt(np.median(np.concatenate(variances))))
@@ -136,6 +124,31 @@ def measure_gas(
         area=(left, bottom, right, top),
         diameter=camera.diameter,
     )
+
+
+def sort_contacts(contacts: pd.DataFrame) -> pd.DataFrame:
+    """Sort contacts by time, with the types of their columns, even where there are none."""
+    kinds = dict.fromkeys(("t_s", "energy_lost", "energy_lost_std"), float) | {"particle1": int, "particle2": int}
+    kinds |= {"misfit": bool}
+    return contacts.astype(kinds).sort_values("t_s", kind="stable").reset_index(drop=True)
+
+
+def find_free_paths(
+    balls: Sequence[BallTrack], contacts: pd.DataFrame, camera: GasCamera, settings: GasSettings
+) -> tuple[list[FreePath], float]:
+    """Cut tracks into free paths with velocities at sorted contacts; also returns the noise of a coordinate, m."""
+    margins = np.full(len(contacts), np.inf)  # half an exposure, and twice the error of the time of a contact
+    if "t_s_std" in contacts:
+        margins = max(ball.exposure for ball in balls) / 2 + 2 * contacts["t_s_std"].to_numpy(dtype=np.float64)
+    noise = measure_scatter_of_paths([(ball.frame, ball.position) for ball in balls])
+    cuts = PathCuts(
+        window_rows=settings.window_rows,
+        margins_s=np.fmin(margins, settings.margin_frames / camera.fps),
+        max_gap_s=(settings.max_gap_frames + 0.5) / camera.fps,
+        noise=noise,
+        slides=not camera.on_air,
+    )
+    return cut_free_paths(balls, contacts, cuts), noise
 
 
 def _measure_rates(balls: Sequence[BallTrack], contacts: pd.DataFrame) -> dict[str, float]:

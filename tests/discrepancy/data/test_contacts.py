@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import tracker
+from benchmarks.search.crowd_laws import make_tray
 from discrepancy.data.contacts import Contacts, read_contacts
 from discrepancy.select.contact_effects import select_contact_laws
-from synthcam import Scene
 
 # A disc of 1 kg meets one of 2 kg at rest with 0.8 m/s along the line of centres and 0.6 m/s across it. r is 0.5, and a
 # third of the tangential velocity stops: impulses 0.8 and 0.1333 N s.
@@ -24,6 +24,19 @@ def test_quantities_of_an_impact():
     assert both.friction == pytest.approx(0.1333 / 0.8, rel=1e-3)
     assert both.recoil == pytest.approx(np.log([2.1 / 2, 2.1 / 0.5]))
     assert both.glides.all()
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.2])
+def test_the_turn_of_two_impulses_is_the_angle_between_them_whatever_the_masses(angle):
+    """The struck disc gets 0.4 m/s along x, the striking one loses 0.8 m/s in a direction at this angle."""
+    lost = 0.8 * np.array([np.cos(angle), np.sin(angle)])
+    velocities = {"1i": (0.1, 0.0), "2i": (1.0, 0.3), "1o": (0.5, 0.0), "2o": np.array([1.0, 0.3]) - lost}
+    row = ROW | {f"v{k}{axis}_local": v for k, pair in velocities.items() for axis, v in zip("xy", pair, strict=True)}
+    row |= {f"v{k}{axis}_local_std": 0.01 for k in velocities for axis in "xy"}
+    row |= {"balance_t_local": 0.0, "balance_t_local_std": 0.02}
+    (turn,), (std,) = (getattr(Contacts.of([row]), name) for name in ("turn", "turn_std"))
+    assert turn == pytest.approx(np.sin(angle))
+    assert std == pytest.approx(0.02 / np.sqrt(0.4 * 0.8))
 
 
 def test_a_quantity_that_the_tracks_do_not_show_is_nan():
@@ -76,27 +89,14 @@ def test_the_error_of_the_friction_has_that_of_the_impact_parameter():
 
 
 @pytest.mark.gate
-@pytest.mark.parametrize("share", [0.3, 0.0])
-def test_one_film_of_thirty_balls_shows_the_one_that_is_heavier(share):
-    corners = [[-0.025, -0.018], [0.025, -0.018], [0.025, 0.018], [-0.025, 0.018]]
-    usual = {"gap": 4e-4, "rms_speed": 0.25}
-    mass = (1 + share) * 7800 * np.pi / 6 * 0.00238**3
-    scene = Scene.build(
-        "tray",
-        groups=[
-            {"count": 1, "size": [0.004, 0.004], "body": {"mass": mass}, **usual},
-            {"count": 29, "size": [0.044, 0.03], **usual},
-        ],
-        walls=[
-            {"start": a, "end": b, "restitution": 0.8, "friction": 0.2}
-            for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
-        ],
-        timing={"frames": 500, "fps": 1000},
-    )
-    true, rng = scene.draw(seed=1).tracks, np.random.default_rng(1)
+@pytest.mark.parametrize(("share", "seed"), [(0.3, 1), (0.3, 2), (0.3, 4), (0.0, 1)])
+def test_one_film_of_thirty_balls_shows_the_one_that_is_heavier(share, seed):
+    """By one usable contact of its own and one group in the film of seed 4, and two in that of seed 2."""
+    scene = make_tray(share)
+    true, rng = scene.draw(seed=seed).tracks, np.random.default_rng(seed)
     x, y = (true[f"{axis}_mean_px"] + 0.05 * rng.standard_normal(len(true)) for axis in "xy")
     table = true[["frame", "particle"]].assign(x=x, y=y, x_std=0.05, y_std=0.05, cov_xy=0.0)
-    result = tracker.measure(table, scene.draw(seed=1).camera_json)
+    result = tracker.measure(table, scene.draw(seed=seed).camera_json)
     claims = {claim.quantity: claim for claim in select_contact_laws(read_contacts([result]))}
     recoil = claims["recoil"]
     assert recoil.causes == (("mass_mismatch",) if share else ())
@@ -107,6 +107,6 @@ def test_one_film_of_thirty_balls_shows_the_one_that_is_heavier(share):
         size = recoil.numbers[0]
         assert abs(size.value - np.log(1 + share)) < min(0.02, 3 * size.std)
         assert size.std < 0.03
-        assert recoil.sigma > 5
+        assert recoil.sigma > (5 if seed == 1 else 4.2)
     else:
         assert abs(recoil.mean.value) < 3 * recoil.mean.std < 0.018  # slides against the kick alone: 0.022

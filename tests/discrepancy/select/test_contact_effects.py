@@ -20,6 +20,8 @@ def draw(count=60, seed=1, shared=None, **laws):
     values = {
         "clip": np.arange(count),
         "bodies": np.full((count, 2), -1),
+        "levers": np.tile([1.0, -1.0], (count, 1)),
+        "share": np.ones(count),
         "a_strikes": rng.random(count) < 0.5,
         "glides": np.zeros(count, dtype=bool),
         "speed_n": speed * np.sqrt(1 - sine**2),
@@ -27,6 +29,7 @@ def draw(count=60, seed=1, shared=None, **laws):
         "slip_t": speed * sine,
         "slip": speed,
     }
+    values |= {name: np.full(count, np.nan) for name in ("turn", "turn_std")}
     empty = {f"{name}{end}": np.full(count, 0.8) for name in ERROR for end in ("", "_std")}
     plain = Contacts(**values, **empty, shared=np.zeros((count, 3, 0)))
     usual = {"restitution": lambda c: 0.8, "friction": lambda c: 0.0, "recoil": lambda c: 0.0}
@@ -150,6 +153,33 @@ def test_contacts_of_the_heavier_ball_that_disagree_widen_its_error():
     claim = law_of(dataclasses.replace(contacts, recoil=recoil, recoil_std=std).select(kept), "recoil")
     assert claim.law == "ball 7 is heavier by a share"
     assert abs(claim.numbers[0].value - np.log(1.3)) < 3 * claim.numbers[0].std
+
+
+def draw_two_of_the_heavier_ball(turn):
+    """A crowd of 42 contacts with errors of 0.02, of which ball 40 has two; turn: of the impulses of these."""
+    film = crowd(draw(count=42, seed=5), balls=30)
+    values = {name: getattr(film, name) / np.sqrt(5) for name in ("recoil",)} | {"recoil_std": np.full(42, 0.02)}
+    bodies, turns = film.bodies.copy(), 0.02 * np.random.default_rng(3).standard_normal(42)
+    bodies[[7, 30], [0, 1]], turns[[7, 30]] = 40, turn
+    film = dataclasses.replace(film, **values, bodies=bodies, turn=turns, turn_std=np.full(42, 0.02))
+    return make_heavier(film, 40, np.log(1.3))
+
+
+def test_two_contacts_show_the_heavier_ball_by_impulses_that_are_opposite():
+    """A third body would turn them by 0.3. So an angle of 0.01(2) makes either contact the less likely an odd one."""
+    shown = law_of(draw_two_of_the_heavier_ball(0.01), "recoil")
+    assert shown.law == "ball 40 is heavier by a share"
+    unknown = dataclasses.replace(draw_two_of_the_heavier_ball(0.01), turn=np.full(42, np.nan))
+    gain = 2 * (np.log((0.02**2 + 0.3**2) / 0.02**2) - 0.01**2 * (1 / 0.02**2 - 1 / (0.02**2 + 0.3**2)))
+    assert shown.sigma**2 - law_of(unknown, "recoil").sigma ** 2 == pytest.approx(gain)
+    assert not law_of(draw_two_of_the_heavier_ball(0.3), "recoil").causes
+
+
+def test_an_odd_restitution_makes_a_contact_odd():
+    film = draw_two_of_the_heavier_ball(0.01)
+    restitution = film.restitution.copy()
+    restitution[[7, 30]] -= 0.3
+    assert not law_of(dataclasses.replace(film, restitution=restitution), "recoil").causes
 
 
 def test_contacts_of_a_crowd_say_nothing_about_ball_a_of_a_pair():

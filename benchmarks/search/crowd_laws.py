@@ -1,0 +1,103 @@
+"""What the contacts of one film of a crowd show: a heavier ball, or friction between the balls that falls with speed.
+
+python -m benchmarks.search.crowd_laws heavier|equal|falling|coulomb [--films 6] [--first 1] [-o out/crowd_laws.json]
+
+No film is rendered. Positions are true ones with 0.05 px noise, at 1,000 frames a second. `heavier`: thirty balls in a
+tray for 0.5 s, and the first ball has 1.3 times the mass of the others; `equal`: none has. `falling`: 36 balls for
+0.3 s with a friction of 0.03 + 0.4 exp(-u / 0.12 m/s) between them; `coulomb`: it is 0.1.
+
+Each line has the law of the recoil or of the friction that `discrepancy find` names, its sigma and its numbers, and for
+a heavier ball whether it is the right one. A friction that falls is right if it is named as such, not only as a rival.
+"""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import tracker
+from benchmarks.harness import ROOT, keep, save
+from benchmarks.tracker.crowd_contacts import measure_true_positions, name_balls
+from discrepancy.data.contacts import read_contacts
+from discrepancy.select.contact_effects import select_contact_laws
+from synthcam.scene.scene import Scene
+
+EXCESS = 0.3  # of the mass of the heavier ball
+FALLING = {"mu": 0.03, "rise": 0.4, "fall": 0.12}
+COULOMB = {"mu": 0.1}
+KINDS = ("heavier", "equal", "falling", "coulomb")
+
+
+def make_tray(
+    excess: float = 0.0, *, balls: int = 30, frames: int = 500, friction: dict[str, float] | None = None
+) -> Scene:
+    """Steel balls in a tray of 50 x 36 mm, of which the first has so much more mass than the others."""
+    corners = [[-0.025, -0.018], [0.025, -0.018], [0.025, 0.018], [-0.025, 0.018]]
+    usual = {"gap": 4e-4, "rms_speed": 0.25}
+    mass = (1 + excess) * 7800 * np.pi / 6 * 0.00238**3
+    law: dict[str, Any] = {} if friction is None else {"effects": {"ball_friction": friction}}
+    return Scene.build(
+        "tray",
+        groups=[
+            {"count": 1, "size": [0.004, 0.004], "body": {"mass": mass}, **usual},
+            {"count": balls - 1, "size": [0.044, 0.03], **usual},
+        ],
+        walls=[
+            {"start": a, "end": b, "restitution": 0.8, "friction": 0.2}
+            for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+        ],
+        timing={"frames": frames, "fps": 1000},
+        **law,
+    )
+
+
+def search_film(kind: str, seed: int) -> dict[str, Any]:
+    """The law of one film, with its numbers, and whether it is the true one."""
+    friction = {"falling": FALLING, "coulomb": COULOMB}.get(kind)
+    heavier = make_tray(EXCESS if kind == "heavier" else 0.0)
+    scene = heavier if friction is None else make_tray(balls=36, frames=300, friction=friction)
+    clip = scene.draw(seed=seed)
+    result: tracker.Result = measure_true_positions(clip, seed)
+    quantity = "recoil" if friction is None else "friction"
+    claims = [one for one in select_contact_laws(read_contacts([result])) if one.quantity == quantity]
+    if not claims:
+        return {"law": "too few contacts", "right": False, "contacts": 0, "sigma": 0.0, "numbers": []}
+    (claim,) = claims
+    heavy = next((k for k, ball in name_balls(clip, result).items() if ball == 0), -1)
+    truth = {"heavier": f"ball {heavy} is heavier by a share", "equal": "as the masses say"}
+    truth |= {"falling": "Coulomb friction that falls with the slip speed"}
+    right = claim.law == truth[kind] if kind in truth else "falling ball_friction" not in claim.causes
+    return {
+        "law": claim.law,
+        "causes": list(claim.causes),
+        "right": right,
+        "contacts": claim.contacts,
+        "sigma": claim.sigma,
+        "numbers": [[number.value, number.std] for number in claim.numbers],
+    }
+
+
+def main() -> None:
+    """Search all films and print a line for each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kind", choices=KINDS)
+    parser.add_argument("--films", type=int, default=6)
+    parser.add_argument("--first", type=int, default=1, help="seed of the first film")
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out/crowd_laws.json")
+    given = parser.parse_args()
+    found = dict[str, Any]()
+    for seed in range(given.first, given.first + given.films):
+        part = f"{given.kind} {seed}"
+        one = found[part] = keep(given.output.with_suffix(".jsonl"), part, partial(search_film, given.kind, seed))
+        numbers = ", ".join(f"{value:.3f}({std:.3f})" for value, std in one["numbers"])
+        print(f"{part}: {one['law']}, {one['sigma']:.1f} sigma, {numbers} of {one['contacts']} contacts", flush=True)
+    save(given.output, found)
+    print(f"{sum(one['right'] for one in found.values())} of {len(found)} films are right")
+
+
+if __name__ == "__main__":
+    main()
