@@ -70,8 +70,9 @@ class SoftHit:
             return self.duration
         t = np.linspace(0, 4 * self.duration, 4001)[1:]
         one, two = self.positions(t)
-        apart = np.hypot(*(one - two).T)
-        return float(t[int(np.argmax(apart >= self.diameter))])
+        within = self.diameter - np.hypot(*(one - two).T)
+        k = int(np.argmax(within <= 0))
+        return float(np.interp(0.0, [within[k], within[k - 1]], [t[k], t[k - 1]]))
 
     def positions(self, t: np.ndarray) -> np.ndarray:
         """(2, n, 2) m at times t since the first touch: struck, striker."""

@@ -45,7 +45,8 @@ def solve_restitutions(ratio: Array, friction: Array, tangent: Array, way: Array
         before, delta = delta, np.where(np.isfinite(thrown), guess - thrown, delta + 0.15)
         if np.max(np.abs(delta - before)) < tolerance:
             break
-    return np.asarray(ratio[:, None] + delta)
+    unhindered, _ = _throw_back(loss, *np.zeros((3, *loss.shape)))  # with the same errors of table and steps
+    return np.asarray(ratio[:, None] + np.where(np.isfinite(thrown), unhindered - thrown, delta))
 
 
 @lru_cache(maxsize=1)
