@@ -23,6 +23,12 @@ from tracker.measurement.collision.collision_fit import CollisionFits
 from tracker.measurement.collision.collision_model import GRAVITY, TIED, compute_unit_vectors
 from tracker.measurement.collision.departures import derive_values
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free
+from tracker.measurement.collision.hidden_duration import (
+    compute_steel_duration,
+    estimate_hidden_duration,
+    measure_closing_speed,
+    measure_hidden_duration,
+)
 from tracker.measurement.collision.lasting_contact import LastingFit, LastingResiduals
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
 from tracker.measurement.positions import BallTrack
@@ -204,16 +210,15 @@ def add_contact_errors(
 ) -> DerivedValues:
     """Add errors to a fit of an impact for a contact that is too short to be seen.
 
-    distance: of the centres at the contact, as `measure_contact_distance` gives it. The longest contact that it leaves
-    open lets the paths cross within one diameter, and plate friction presses the balls together while it lasts.
+    distance: of the centres at the contact, as `measure_contact_distance` gives it. A contact that lasts lets the paths
+    cross within one diameter, and plate friction presses the balls together in the meantime.
     """
-    hard_contact_s = 3e-4  # a shorter one adds nothing: steel, glass and billiard balls touch for .02 to .3 ms
-    value = dict(zip(QUANTITY_NAMES, values.value, strict=True))
-    nearer = (max(1 - distance[0], 0.0) + distance[1]) * fit.pair.diameter  # m, by which the paths may cross within
-    closing = value["v0"] * np.sqrt(max(1 - value["b"] ** 2, 0.1))
-    longest = nearer * (1 + 1 / min(max(value["r"], 0.1), 1.0)) / max(closing, 1e-9)
-    if not longest > hard_contact_s:
+    measured, std = measure_hidden_duration(fit.pair.diameter, values, distance)
+    if not (np.isfinite(measured) and std > 0):
         return values
+    closing = measure_closing_speed(values)
+    lasts = estimate_hidden_duration(measured, std, compute_steel_duration(fit.pair.diameter, closing))
+    nearer = lasts / std * distance[1] * fit.pair.diameter  # m, by which the paths cross within one diameter
     unit = CameraError("ball_diameter", camera.ball_diameter, -nearer / fit.pair.diameter)
     shift = _shift_fit(fit, [unit], camera)[0][:, 0]
 
@@ -221,8 +226,9 @@ def add_contact_errors(
         return derive_values(fit, fit.parameters + by * shift, fit.pair.diameter)
 
     effect = np.nan_to_num(differentiate_by_camera([unit], changed)[:, 0])
-    pressed = 2 * np.nan_to_num(min(max(value["mu_k"], 0.0), 1.0)) * GRAVITY * longest
-    effect[QUANTITY_NAMES.index("r")] -= pressed / max(closing, 1e-9)
+    friction = float(np.nan_to_num(values.value[QUANTITY_NAMES.index("mu_k")]))
+    pressed = 2 * min(max(friction, 0.0), 1.0) * GRAVITY * lasts
+    effect[QUANTITY_NAMES.index("r")] -= pressed / closing
     return replace(values, cov=values.cov + np.outer(effect, effect))
 
 

@@ -73,6 +73,7 @@ from tracker.measurement.collision.contacts import (
 )
 from tracker.measurement.collision.departures import LawDeparture, compare_losses, find_slope_of_friction
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
+from tracker.measurement.collision.hidden_duration import measure_hidden_duration
 from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_contact_frames, shows_friction
 from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.collision.noise_correlation import variance_of_residuals
@@ -278,7 +279,7 @@ def _measure_collision(
     unknown = {track.particle: EarlierHit(np.inf) for _, track in contact.pair.balls}
     if contact.reason:
         return row, unknown
-    read, flags = _fit(contact, candidate, earlier, camera, settings, touches_again=again is not None)
+    read, flags = _fit(contact, candidate, earlier, camera, settings)
     lasting = None if isinstance(read, str) else read.lasting
     seen = contact if lasting is None else replace(contact, first=lasting.first, last=lasting.last)
     masses = _find_masses(contact, camera, letters)
@@ -344,8 +345,6 @@ def _fit(
     earlier: dict[int, EarlierHit],
     camera: Camera,
     settings: FitSettings,
-    *,
-    touches_again: bool,
 ) -> tuple[CollisionFits | str, list[Flag]]:
     """The fits of a collision with the camera's errors, or why there are none; flags of the contact's distance.
 
@@ -362,12 +361,13 @@ def _fit(
             return add_camera_errors_to_lasting(lasting, camera), []
         if lasting == HIDDEN_SLIDE:
             return lasting, []
-    read, flags, nearer = fit_collision(contact), list[Flag](), np.nan
+    read, flags, nearer, duration = fit_collision(contact), list[Flag](), np.nan, np.nan
     if not isinstance(read, str):
         tied, tied_values = add_camera_errors(read.tied, read.tied_values, camera)
         free, free_values = add_camera_errors(read.free, read.free_values, camera)
         read = replace(read, tied=tied, free=free, tied_values=tied_values, free_values=free_values)
         by_free, by_tied = (measure_contact_distance(fit, camera) for fit in (free, tied))
+        duration, _ = measure_hidden_duration(tied.pair.diameter, tied_values, by_tied)
         if not read.is_misfit:
             read = replace(read, tied_values=add_contact_errors(tied, tied_values, camera, by_tied))
         read = replace(read, free_values=add_contact_errors(free, free_values, camera, by_free))
@@ -380,13 +380,14 @@ def _fit(
             return add_camera_errors_to_lasting(lasting, camera), []
         if isinstance(lasting, str) and (is_wide or lasting != TOO_FEW):
             return lasting, []
-        is_longer = touches_again and lasting is None and nearer > doubtful_sigma
+        is_long = nearer > doubtful_sigma and duration > float(np.median(np.diff(contact.pair.striker.start)))
         if (
-            is_longer
+            is_long
+            and lasting is None
             and not isinstance(read, str)
             and not (read.is_misfit or shows_friction(read.tied_values, settings))
         ):
-            return HIDDEN_SLIDE, []  # the few positions before the second touch show no slide
+            return HIDDEN_SLIDE, []  # an impact is no fit of positions in contact, and no others show a slide
     return read, flags
 
 

@@ -205,6 +205,8 @@ def explain_dashes(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES
         )
     if missing[""] and not reasons:
         reasons.append("tied fit: the error is larger than a fifth of the value, or than the limits of docs/format.md")
+    if lasts and not straight and "r" in missing[""] and row["status"] != MISFIT:
+        reasons.append("tied fit: r depends on the law of the force in the contact, which the positions do not show")
     local = [_is_known(row, f"{n}_local") for n in names]
     if any(local) and not all(local):
         reasons.append("local estimate: the positions near the contact do not show it")

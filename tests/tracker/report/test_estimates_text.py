@@ -69,6 +69,13 @@ def test_one_collision_is_printed_whole_and_many_as_medians():
     assert list(format_for_terminal(pd.DataFrame([row("no_collision")] * 9))) == []
 
 
+def test_a_restitution_that_the_law_of_the_force_leaves_open_has_a_reason():
+    open_law = row(flags="contact lasts", r=np.nan, r_std=np.nan)
+    assert "depends on the law of the force" in " ".join(explain_dashes(open_law))
+    assert "law of the force" not in " ".join(explain_dashes(open_law | {"flags": ""}))
+    assert "law of the force" not in " ".join(explain_dashes(row(flags="contact lasts")))
+
+
 def test_a_rejected_fit_is_not_shown_beside_a_recommended_estimate():
     bare = {f"{name}_std": np.nan for name in QUANTITY_NAMES}
     rejected = row("misfit", recommended="local", why="the tracks reject the tied fit", **bare)
