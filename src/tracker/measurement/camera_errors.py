@@ -242,7 +242,9 @@ def measure_contact_distance(fit: CollisionFit, camera: Camera) -> tuple[float, 
     pull = _shift_fit(fit, [unit], camera)[1][:, 0]
     square, along = max(float(pull @ pull), 1e-300), float(pull @ fit.linearised[1])
     off, worse = -along / square, (fit.chi2 - along**2 / square) / max(fit.dof, 1)
-    known = [error.share for error in camera_errors(camera) if error.key != "fps"]
+    glints = fit.pair.striker.from_glint
+    errors = (error for error in camera_errors(camera) if glints or not isinstance(error, LampError))
+    known = [error.share for error in errors if error.key != "fps"]
     return 1 + off * unit.share, float(np.linalg.norm([unit.share * np.sqrt(max(worse, 1.0) / square), *known]))
 
 

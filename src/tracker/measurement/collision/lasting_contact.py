@@ -405,7 +405,7 @@ def fit_lasting_contact(
     noise_dof, step = outside.striker.noise_dof, float(np.median(np.diff(pair.striker.start)))
     if compute_p_value(fit.chi2, fit.dof, noise_dof) < level:
         return None
-    tied = fit if is_straight else LastingFit.to(outside, "tied", _tied_starts(fit))
+    tied = fit if is_straight else _fit_tied(fit)
     best = fit
     if not is_straight and not compute_p_of_rise(tied.chi2 - fit.chi2, tied.dof - fit.dof, noise_dof) < level:
         best = max(fit, tied, key=_sigmas_within)
@@ -697,14 +697,24 @@ def _may_hide_slide(straight: LastingFit) -> bool:
     return False
 
 
-def _tied_starts(free: LastingFit) -> list[Array]:
-    """Starts (p,) of the tied fit, from what a free fit implies."""
+def _fit_tied(free: LastingFit) -> LastingFit:
+    """Fit the tied motion beside a free one; from further frictions, if it describes the positions much worse."""
+    pair, doubtful_p = free.problem.pair, 0.01
+    tied = LastingFit.to(pair, "tied", _tied_starts(free))
+    if not compute_p_of_rise(tied.chi2 - free.chi2, tied.dof - free.dof, pair.striker.noise_dof) < doubtful_p:
+        return tied
+    others = (start for factor in (0.7, 1.4) for start in _tied_starts(free, factor))
+    return LastingFit.to(pair, "tied", [tied.x, *others])
+
+
+def _tied_starts(free: LastingFit, factor: float = 1.0) -> list[Array]:
+    """Starts (p,) of the tied fit, from what a free fit implies; factor: of its friction."""
     index = LastingResiduals(free.problem.pair, "tied").index
     at_touch = free.at_touch(free.x)
     with np.errstate(invalid="ignore", divide="ignore"):
         impulse = float(derive_from_each_ball(at_touch, free.diameter)[QUANTITY_NAMES.index("r")])
     mu = float(free.values.value[QUANTITY_NAMES.index("mu_k")])
-    impact = np.clip(impulse, 0.05, 1.5), np.log(np.clip(np.nan_to_num(mu), 1e-3, 1.0))
+    impact = np.clip(impulse, 0.05, 1.5), np.log(np.clip(factor * np.nan_to_num(mu), 1e-3, 1.0))
     whole = (np.array([*free.free[:8], *impact, c, 0.0, 0.0, 0.0, *free.free[-2:]]) for c in (0.1, 0.35))
     return [np.concatenate([one[index], np.zeros(2), free.x[-2:]]) for one in whole]
 

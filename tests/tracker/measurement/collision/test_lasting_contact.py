@@ -322,3 +322,14 @@ def test_a_contact_of_two_frames_whose_slides_end_in_a_second_touch_gives_no_wro
     hit = replace(hit, law="viscous")
     row = tracker.measure(hit.tracks(np.random.default_rng(seed)), hit.camera, unit="m").estimates.iloc[0]
     assert row["status"] != "ok" or abs(row["r"] - hit.r) < 4 * row["r_std"]
+
+
+@pytest.mark.gate
+def test_a_contact_whose_first_fits_end_in_a_false_friction_is_fitted_again():
+    """Balls of r .25 touch again soon. From the friction of the free fit, half of the true one fits far worse."""
+    rng = np.random.default_rng([71, 98])
+    hit = draw_hit(rng)
+    row = tracker.measure(hit.tracks(rng), hit.camera, unit="m").estimates.iloc[0]
+    assert row["status"] == "ok"
+    assert abs(z(row, "mu_k", hit.friction)) < 3
+    assert abs(z(row, "contact_duration_s", hit.time_within)) < 3
