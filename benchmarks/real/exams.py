@@ -69,11 +69,6 @@ class Exam:
     found: str
 
 
-def combine(value: Floats, std: Floats) -> RandomEffects:
-    """Combine values that share no errors."""
-    return fit_random_effects(value, std)
-
-
 def fit_restitution(rows: Sequence[dict[str, Any]], speed_powers: Sequence[int]) -> RandomEffects:
     """Fit r over hits as a polynomial of the normal speed, m/s, with the errors that all hits share."""
     r, std, v0, b = (
@@ -105,7 +100,7 @@ def examine_billiards(given: MeasuredHits) -> Iterator[tuple[str, str, str]]:
 def examine_pucks(given: MeasuredHits) -> Iterator[tuple[str, str, str]]:
     """Iterate over the exams of two pucks on air; the scales say 28.19 and 28.73 g, but not which strikes."""
     ratio, std = (np.array([row[name] for row in given.known]) for name in ("mass_ratio", "mass_ratio_std"))
-    yield "mass of the struck puck over the other's", "0.983(3), scales 0.981", show(combine(ratio, std))
+    yield "mass of the struck puck over the other's", "0.983(3), scales 0.981", show(fit_random_effects(ratio, std))
     fit = fit_restitution(given.known, [0, 1])
     yield "r at no speed", "0.815(16)", show(fit)
     yield "slope of r, s/m", "-0.110(27)", show(fit, 1)
@@ -122,7 +117,7 @@ def examine_discs(given: MeasuredHits) -> Iterator[tuple[str, str, str]]:
     yield "mass ratio within 2 % of the scales", f"{len(off)}", f"{np.sum(np.abs(off) < 0.02)}"
     shares = f"{np.sum(np.abs(off) < error)} and {np.sum(np.abs(off) < 1.96 * error)}"
     yield "mass ratio within 1 and 1.96 errors", f"{0.68 * len(off):.0f} and {0.95 * len(off):.0f}", shares
-    yield "mean logarithm of the ratio over the scales'", "0", show(combine(off, error))
+    yield "mean logarithm of the ratio over the scales'", "0", show(fit_random_effects(off, error))
     taped = [row for row in given.rows if str(row["name"]).startswith("S5")]
     apart = [row for row in taped if row["status"] != TOGETHER]
     found = [f"{len(taped) - len(apart)} stay together"]

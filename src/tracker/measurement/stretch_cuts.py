@@ -99,15 +99,18 @@ class StretchCutter:
 CUTTER = StretchCutter()
 
 
+NOISE_OF_THIRD_DIFFERENCES = 1.4826 / np.sqrt(20)
+"""Standard deviation of normal noise over the median size of its third differences, x_0 - 3 x_1 + 3 x_2 - x_3."""
+
+
 def measure_path_noise(paths: Iterable[tuple[Ints, Array]]) -> float:
-    """Measure the noise of paths, beside which a cut must stand out: from third differences, m; NaN without any.
+    """Measure the noise of paths, beside which a cut must be clear: from third differences, m; NaN without any.
 
     paths: frames (n,) and positions (n, 2) of each ball.
     """
-    parts = [np.diff(xy, 3, axis=0)[np.diff(frame, 3) == 0] for frame, xy in paths if len(frame) > 3]
-    moving = [part[np.abs(part).sum(axis=1) > 0] for part in parts]
-    every = np.concatenate([*moving, np.empty((0, 2))])
-    return float(1.4826 * np.median(np.abs(every)) / np.sqrt(20)) if len(every) else float("nan")
+    sizes = np.concatenate([np.empty((0, 2)), *(_compute_third_differences(frame, xy) for frame, xy in paths)])
+    known = sizes[np.isfinite(sizes)]
+    return float(NOISE_OF_THIRD_DIFFERENCES * np.median(known)) if len(known) else float("nan")
 
 
 def measure_largest_noise(frame: Ints, position: Array, length: int = 12) -> float:
@@ -115,11 +118,17 @@ def measure_largest_noise(frame: Ints, position: Array, length: int = 12) -> flo
 
     As `measure_path_noise` of each part, all at once: most of the time is that of numpy's calls.
     """
-    thirds = np.abs(np.diff(position, 3, axis=0))
-    thirds[(np.diff(frame, 3) != 0) | (thirds.sum(axis=1) == 0)] = np.nan
-    if not len(thirds):
+    sizes = _compute_third_differences(frame, position)
+    if not len(sizes):
         return float("nan")
-    parts = np.lib.stride_tricks.sliding_window_view(thirds, min(length - 3, len(thirds)), axis=0)[:: length // 2]
-    every = parts.reshape(len(parts), -1)
-    every = every[np.isfinite(every).any(axis=1)]
-    return float(1.4826 * np.nanmedian(every, axis=1).max() / np.sqrt(20)) if len(every) else float("nan")
+    parts = np.lib.stride_tricks.sliding_window_view(sizes, min(length - 3, len(sizes)), axis=0)[:: length // 2]
+    known = parts.reshape(len(parts), -1)
+    known = known[np.isfinite(known).any(axis=1)]
+    return float(NOISE_OF_THIRD_DIFFERENCES * np.nanmedian(known, axis=1).max()) if len(known) else float("nan")
+
+
+def _compute_third_differences(frame: Ints, position: Array) -> Array:
+    """Sizes of third differences, (n - 3, 2), m; NaN where frames are missing or nothing moves."""
+    sizes = np.abs(np.diff(position, 3, axis=0))
+    sizes[(np.diff(frame, 3) != 0) | (sizes.sum(axis=1) == 0)] = np.nan
+    return sizes
