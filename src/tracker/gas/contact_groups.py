@@ -106,13 +106,13 @@ def group_contacts(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: flo
         std,
         share,
         share_variance,
-        np.bincount(label, _count_hidden(contacts, frame_s), groups)
+        np.bincount(label, count_hidden(contacts, frame_s), groups)
         / np.maximum(np.bincount(label, minlength=groups), 1),
         np.bincount(label, bodies, groups).astype(np.int64),
     )
 
 
-def _count_hidden(contacts: pd.DataFrame, frame_s: float) -> Array:
+def count_hidden(contacts: pd.DataFrame, frame_s: float) -> Array:
     """Count the contacts (n,) that hide within `HIDING_FRAMES` of each, by those of its balls a little farther.
 
     Within 2 frames many are not found; up to 12 frames the density of contacts is about the same. The share that was
@@ -130,6 +130,19 @@ def _count_hidden(contacts: pd.DataFrame, frame_s: float) -> Array:
         found += int((apart < HIDING_FRAMES).sum()) - len(own)
     expected = near / (farthest - nearest) * HIDING_FRAMES
     return np.asarray(max(1 - found / max(expected.sum(), 1e-300), 0.0) * expected / 2)
+
+
+def count_hidden_rows(contacts: pd.DataFrame, frames: Ints, frame_s: float) -> Array:
+    """Count the balls (n,) at each frame whose last contact before it, or next one after it, is one that hides.
+
+    Such a ball has not yet, or no longer, the velocity of its path beside the contact that was found.
+    """
+    hidden, at = count_hidden(contacts, frame_s), contacts["t_s"].to_numpy(dtype=np.float64) / max(frame_s, 1e-12)
+    out = np.zeros(len(frames))
+    for each, when in zip(hidden[hidden > 0], at[hidden > 0], strict=True):
+        near = slice(*np.searchsorted(frames, [when - HIDING_FRAMES, when + HIDING_FRAMES]))
+        out[near] += each / 2 * (1 - np.abs(frames[near] - when) / HIDING_FRAMES)  # it is as likely before as after
+    return out
 
 
 def _combine(value: Array, variance: Array, expected: Array, scatter: Array) -> tuple[Array, Array]:

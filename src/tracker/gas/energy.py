@@ -16,9 +16,15 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from synthcam_shared.arrays import Array, Flags, Ints
-from tracker.gas.contact_groups import COMMON_ERROR_OF_EXPECTED, ContactGroups, group_contacts, lies_within_group
+from tracker.gas.contact_groups import (
+    COMMON_ERROR_OF_EXPECTED,
+    ContactGroups,
+    count_hidden_rows,
+    group_contacts,
+    lies_within_group,
+)
 from tracker.gas.contact_losses import measure_energies
-from tracker.gas.free_paths import FreePath
+from tracker.gas.free_paths import FreePath, sum_sides
 
 SINKS = {"contacts": "lost_in_contacts", "walls": "lost_at_walls", "plate": "lost_to_plate"}  # columns
 SINKS |= {"unresolved": "lost_unresolved"}
@@ -81,10 +87,11 @@ def measure_losses(
     for path in sorted(paths, key=lambda path: (path.ball, path.start_time)):
         value, error = measure_energies(path.velocities.take(slice(None, -2)), noise)
         rows, known = np.searchsorted(frames, path.frame), np.isfinite(value)
-        shift = np.sqrt(2 * np.maximum(np.nan_to_num(value), 0)) * path.unsure[:-2]
-        error = error + shift**2
+        error = error + np.maximum(np.nan_to_num(value), 0) * path.unsure[:-2] ** 2  # along the velocity or across it
         listed = np.isin(path.frame, frames)  # few balls have a velocity in the others
-        smoothed.add(rows[listed], shift[listed], 0.0)
+        if path.by_friction is not None:
+            velocity = np.nan_to_num(path.velocities.even + path.velocities.odd)[:-2] / 2
+            smoothed.add(rows[listed], (velocity * path.by_friction[:-2]).sum(axis=1)[listed])
         in_view.setdefault(path.ball, []).append((rows[listed], value[listed], error[listed]))
         value, error, rows = value[known], error[known], rows[known]
         if not len(value) or lies_within_group(path):
@@ -99,7 +106,11 @@ def measure_losses(
     hidden = {name: _Sums(len(frames)) for name in ("contacts", "walls", "plate")}
     _add_steps(steps, groups, paths, lost, hidden)
     each = [one for one in map(_join, in_view.values()) if len(one[0])]
+    sides = sum_sides(paths)
+    sides = sides[sides["frame"].isin(frames)]
+    seen.add(np.searchsorted(frames, sides["frame"]), 0.0, sides["variance"] / 4)
     spread = _find_spread(len(frames), each)
+    seen.add(np.arange(len(frames)), 0.0, count_hidden_rows(contacts, frames, frame_s) * spread)
     for rows, value, error in each:
         _add_held(seen, rows, value, error, spread)
     hit = sum(int(rows[0] == 0 and not error[0] < MAX_ERROR_OF_SPREAD * spread[0]) for rows, _, error in each)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -27,6 +28,18 @@ MIN_ROWS_BESIDE_KINK = 6  # of a path that shows a kink of which it has only one
 LEAST_CHANCE = 1e-3  # of a contact on the other side of a frame
 
 
+class SideOfContact(NamedTuple):
+    """A frame of which it is not sure whether a contact comes before or after it.
+
+    change: of the square of the ball's velocity, m^2/s^2, if it is on the other side. chance: of that.
+    """
+
+    frame: int
+    contact: int
+    change: float
+    chance: float
+
+
 @dataclass(frozen=True, eq=False)
 class FreePath:
     """One ball between two of its contacts, or between a contact and the start or end of its track."""
@@ -42,6 +55,8 @@ class FreePath:
     # (n + 2,) m/s: how far these may be off because the slide after a contact is too short to be seen; 0 elsewhere
     unsure: Array
     usable: bool = True  # whether its velocities show what the contacts before and after it took
+    by_friction: Array | None = None  # (n + 2, 2) m/s: their change by one standard error of the friction of the plate
+    sides: tuple[SideOfContact, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +94,7 @@ def cut_free_paths(balls: Sequence[BallTrack], contacts: pd.DataFrame, cuts: Pat
                 free.append(positions)
     if cuts.slides and "nx" in contacts:
         paths = _continue_slides(paths, free, contacts, cuts.noise)
-    return _widen_at_contacts(paths, contacts, cuts.noise)
+    return _doubt_sides(paths, contacts)
 
 
 def _fit_path(
@@ -145,8 +160,11 @@ def _widen_at_hidden_kinks(
                 break
 
 
-def _widen_at_contacts(paths: Sequence[FreePath], contacts: pd.DataFrame, noise: float) -> list[FreePath]:
-    """Widen the errors of velocities in frames of which it is not sure whether a contact comes before or after them."""
+def _doubt_sides(paths: Sequence[FreePath], contacts: pd.DataFrame) -> list[FreePath]:
+    """Add the frames of which it is not sure whether a contact comes before or after them.
+
+    The velocity of one ball there may be off by its kick. But two balls exchange that energy, and a wall returns it.
+    """
     if "t_s_std" not in contacts:
         return list(paths)
     std, out = contacts["t_s_std"].to_numpy(dtype=np.float64), list(paths)
@@ -154,22 +172,24 @@ def _widen_at_contacts(paths: Sequence[FreePath], contacts: pd.DataFrame, noise:
     for k, path in enumerate(paths):
         if path.start < 0 or (path.ball, path.start) not in after:
             continue
-        earlier = after[path.ball, path.start]
+        earlier, contact = after[path.ball, path.start], path.start
         one, two = out[earlier].velocities, path.velocities
-        kick = (one.even[-1] + one.odd[-1] - two.even[0] - two.odd[0]) / 2
-        for number, row, end in ((k, 0, path.start_time), (earlier, -1, path.start_time)):
+        change = float(((one.even[-1] + one.odd[-1]) ** 2 - (two.even[-2] + two.odd[-2]) ** 2).sum()) / 4
+        for number, row, sign in ((k, 0, 1.0), (earlier, -1, -1.0)):
             own = out[number]
-            chance = float(ndtr(-abs(own.time[row] - end) / max(std[path.start], 1e-9)))
-            if chance > LEAST_CHANCE and np.isfinite(kick).all():
-                velocities = own.velocities.take(slice(None))
-                at = row if row == 0 else len(own.time) - 1
-                more = chance * float(kick @ kick) / 2 / noise**2
-                halves = [velocities.gain_even.copy(), velocities.gain_odd.copy()]
-                for half in halves:
-                    half[at] += more
-                velocities = replace(velocities, gain_even=halves[0], gain_odd=halves[1])
-                out[number] = replace(own, velocities=velocities)
+            chance = float(ndtr(-abs(own.time[row] - path.start_time) / max(std[contact], 1e-9)))
+            if chance > LEAST_CHANCE and np.isfinite(change):
+                side = SideOfContact(int(own.frame[row]), contact, sign * change, chance)
+                out[number] = replace(own, sides=(*own.sides, side))
     return out
+
+
+def sum_sides(paths: Sequence[FreePath]) -> pd.DataFrame:
+    """Sum the changes of the squares of velocities over the balls of a contact: frame, and the variance of the sum."""
+    every = [side for path in paths for side in path.sides]
+    table = pd.DataFrame(every, columns=list(SideOfContact._fields)).astype(float).astype({"frame": np.int64})
+    sums = table.groupby(["frame", "contact"]).agg({"change": "sum", "chance": "max"}).reset_index()
+    return pd.DataFrame({"frame": sums["frame"], "variance": sums["chance"] * sums["change"] ** 2})
 
 
 def _continue_slides(
@@ -260,8 +280,10 @@ def _correct_start(
     since = np.append(path.time, [path.start_time, path.end_time]) - path.start_time
     slid = np.minimum(since, fits.duration[row])
     wrong = min(max(float(fits.slip_std[row]), 0.5 if late else 0.0), 1.0)  # relative, of the slip
-    lever = np.abs(slid - fits.slid[row])  # s, of a wrong friction
-    unsure = friction.decel * (lever * np.hypot(friction.decel_std, wrong) + time_std)
+    lever = slid - fits.slid[row]  # s, of a wrong friction
+    unsure = friction.decel * np.hypot(lever * wrong, time_std)
+    along = fits.slip[row] / max(float(np.hypot(*fits.slip[row])), 1e-12)
+    by_friction = -friction.decel * friction.decel_std * lever[:, None] * along
     wider = 1.0 if chi2 < MAX_CHI2_PER_DOF else chi2  # a kink was missed
     replaced = np.zeros(len(since), dtype=bool)
     if hidden:
@@ -275,6 +297,7 @@ def _correct_start(
         path,
         velocities=HalfVelocities(**halves),
         unsure=np.where(replaced, unsure, 0.0),
+        by_friction=np.where(replaced[:, None], by_friction, 0.0),
         usable=path.usable and (chi2 < MAX_CHI2_PER_DOF or len(path.time) > ROWS * 3 // 2),
     )
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
+from tracker.gas.contact_groups import count_hidden_rows
 from tracker.gas.energy import SINKS, measure_losses
 from tracker.gas.free_paths import FreePath, PathCuts, cut_free_paths, extrapolate_to_contact
 from tracker.gas.pair_correlation import pair_correlation
@@ -97,7 +98,9 @@ def measure_gas(
     claimed = float(np.sqrt(np.median(np.concatenate(variances))))
     noise = measure_noise(table) if len(table) else np.nan
     noise = noise if np.isfinite(noise) else claimed  # all free paths are short
-    time = measure_temperatures(table, noise) if len(table) else table
+    seen = np.unique(table["frame"].to_numpy(dtype=np.int64))
+    hidden = pd.Series(count_hidden_rows(contacts, seen, 1 / camera.fps), index=seen)
+    time = measure_temperatures(table, noise, paths, hidden) if len(table) else table
     if not len(time):
         raise InputError(f"a gas has {MIN_BALLS} balls or more in view; no frame here has so many with a velocity")
     time.insert(1, "t_s", time["frame"] / camera.fps)

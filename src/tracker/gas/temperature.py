@@ -11,10 +11,11 @@ import numpy as np
 import pandas as pd
 
 from synthcam_shared.arrays import Array
-from tracker.gas.free_paths import FreePath
+from tracker.gas.free_paths import FreePath, sum_sides
 from tracker.gas.velocities import HalfVelocities
 
 HALVES = ("even_x", "even_y", "odd_x", "odd_y")
+BY_FRICTION = ("friction_x", "friction_y")
 MIN_BALLS = 3  # in a frame, for a temperature about the mean velocity
 HOTTER = 0.3  # how much hotter balls without a velocity may be; fast ones are hit more often
 MIN_SIGNIFICANCE = 5.0  # of a temperature in its errors, for the shape of the distribution in that frame
@@ -36,10 +37,17 @@ def tabulate_velocities(paths: Sequence[FreePath]) -> pd.DataFrame:
             "gain_odd": every.gain_odd,
             "gain_common": every.gain_common,
             "unsure": np.concatenate([path.unsure[:-2] for path in paths]),
+            **dict(zip(BY_FRICTION, _join_by_friction(paths).T, strict=True)),
         }
     )
     table["unknown"] = table.groupby("frame")["even_x"].transform(lambda column: column.isna().sum())
     return table[every.known].reset_index(drop=True)
+
+
+def _join_by_friction(paths: Sequence[FreePath]) -> Array:
+    none = np.zeros((1, 2))
+    parts = [np.tile(none, (len(p.frame), 1)) if p.by_friction is None else p.by_friction[:-2] for p in paths]
+    return np.concatenate(parts)
 
 
 def measure_noise(table: pd.DataFrame) -> float:
@@ -50,26 +58,36 @@ def measure_noise(table: pd.DataFrame) -> float:
     return float(np.median(np.abs(every)) / 0.67449) if len(every) else float("nan")
 
 
-def measure_temperatures(table: pd.DataFrame, noise: float) -> pd.DataFrame:
+def measure_temperatures(
+    table: pd.DataFrame, noise: float, paths: Sequence[FreePath] = (), hidden: pd.Series | None = None
+) -> pd.DataFrame:
     """Measure the temperature and the mean velocity of each frame with three balls or more.
 
     temperature is the sum of (even - mean even) . (odd - mean odd) over the balls, over 2 (n - 1). temperature_std is
     its error. It contains the noise, balls whose velocity is not known, and slides after contacts that are too short to
-    be seen. All slides may err in one direction. temperature_sampling is its further error as the temperature of an
-    infinite system with such balls.
+    be seen. All slides share the error of the friction; what else they err by is as likely along the velocity as across
+    it. It also contains the sides of frames at contacts, and contacts that hide next to others.
+    temperature_sampling is its further error as the temperature of an infinite system with such balls.
 
-    noise: of a coordinate, m.
+    noise: of a coordinate, m. paths: those of the table, for the sides. hidden: balls with a velocity from beyond a
+    contact that hides, by frame.
     """
     group = table.groupby("frame")
     product, variance = _products(table, noise)
-    smoothed = 2 * np.sqrt(np.maximum(product, 0)) * table["unsure"]
-    rows = {"frame": table["frame"], "product": product, "variance": variance, "smoothed": smoothed}
+    variance = variance + 2 * np.maximum(product, 0) * table["unsure"] ** 2
+    velocities = table[["even_x", "even_y"]].to_numpy() + table[["odd_x", "odd_y"]].to_numpy()
+    by_friction = (velocities * table[list(BY_FRICTION)].to_numpy()).sum(axis=1)
+    rows = {"frame": table["frame"], "product": product, "variance": variance, "by_friction": by_friction}
     sums = pd.DataFrame(rows).groupby("frame")
+    at_contacts = sum_sides(paths).groupby("frame")["variance"].sum().reindex(group.size().index, fill_value=0.0)
+    if hidden is not None:
+        at_contacts += hidden.reindex(at_contacts.index, fill_value=0.0) * sums["product"].var().fillna(0.0)
     mean, balls, unknown = group[list(HALVES)].mean(), group.size(), group["unknown"].first()
     spread = sums["product"].std() / 2
     temperature = sums["product"].sum() / (2 * (balls - 1))
     missing = np.hypot(spread * np.sqrt(unknown), HOTTER * temperature * unknown) / (balls + unknown)
-    noisy = np.sqrt(sums["variance"].sum() + sums["smoothed"].sum() ** 2) / (2 * (balls - 1))
+    variances = sums["variance"].sum() + at_contacts
+    noisy = np.sqrt(variances + sums["by_friction"].sum() ** 2) / (2 * (balls - 1))
     result = pd.DataFrame(
         {
             "balls": balls,

@@ -8,7 +8,7 @@ import pytest
 
 import synthcam
 from synthcam_shared.errors import InputError
-from tracker.gas.contact_groups import HIDING_FRAMES, group_contacts
+from tracker.gas.contact_groups import HIDING_FRAMES, count_hidden_rows, group_contacts
 from tracker.gas.contact_losses import expect_losses, measure_contact_losses, predict_losses
 from tracker.gas.energy import SINKS, measure_losses
 from tracker.gas.free_paths import FreePath
@@ -346,6 +346,38 @@ def test_it_is_not_sure_on_which_side_of_a_frame_a_contact_is(bounces_at, error_
         assert std < 0.003
 
 
+def test_two_balls_that_exchange_their_velocities_beside_a_frame_leave_its_energy_known():
+    """Either velocity may be off by 0.4 m/s in frame 20, but not the sum of their energies."""
+    t, noise, hit = np.arange(40) / FPS, 1e-6, 19.95 / FPS
+    balls = make_gas(np.array([[0.1, 0.0], [0.0, 0.2], [-0.1, 0.1]]), 40, noise)
+    for particle, before in ((3, 0.4), (4, 0.0)):
+        x = np.where(t < hit, before * (t - hit), (0.4 - before) * (t - hit)) + 0.01 * (particle - 3)
+        balls.append(make_ball(particle, np.column_stack([x, np.full(40, 3.0)]), noise))
+    contacts = make_contacts((20.05 / FPS, 3, 4, np.nan, np.nan)).assign(t_s_std=0.2 / FPS)
+    time = measure_gas(balls, contacts, GasCamera(0.01, FPS, on_air=True)).time.iloc[20]
+    assert time["energy_std"] < 0.02 * 0.4**2 / 2
+    velocities = np.array([[0.1, 0.0], [0.0, 0.2], [-0.1, 0.1], [0.4, 0.0], [0.0, 0.0]])
+    assert time["temperature"] == pytest.approx(velocities.var(axis=0, ddof=1).mean(), rel=0.01)
+    assert time["temperature_std"] < 0.02 * time["temperature"]
+
+
+def test_slides_share_the_error_of_the_friction_and_no_other():
+    """A hundred balls at 0.1 m/s in all directions: what each errs by of its own averages out."""
+    angle = 2 * np.pi * np.arange(100) / 100
+    velocities = 0.1 * np.column_stack([np.cos(angle), np.sin(angle)])
+    columns = dict(zip(HALVES, [*velocities.T, *velocities.T], strict=True))
+    columns |= {"gain_even": 0.0, "gain_odd": 0.0, "gain_common": 0.0, "unknown": 0, "frame": 0}
+    own = pd.DataFrame(columns).assign(unsure=0.01, friction_x=0.0, friction_y=0.0)
+    relative = 2 * 0.1 * 0.01 * np.sqrt(0.5 * 100) / (100 * 0.1**2)  # half of the squares is along the velocity
+    found = measure_temperatures(own, 0.0).iloc[0]
+    assert found["temperature_std"] / found["temperature"] == pytest.approx(relative)
+    along = own.assign(unsure=0.0, friction_x=0.1 * velocities[:, 0], friction_y=0.1 * velocities[:, 1])
+    found = measure_temperatures(along, 0.0).iloc[0]
+    assert found["temperature_std"] / found["temperature"] == pytest.approx(0.2)
+    across = own.assign(unsure=0.0, friction_x=0.1 * velocities[:, 1], friction_y=-0.1 * velocities[:, 0])
+    assert measure_temperatures(across, 0.0).iloc[0]["temperature_std"] == pytest.approx(0.0, abs=1e-12)
+
+
 @pytest.mark.gate
 def test_sinks_of_a_tray_have_the_errors_that_they_claim():
     """Four films of 100 balls against the simulation; without the rules for walls their z is 11 or so."""
@@ -437,11 +469,15 @@ def test_contacts_that_hide_next_to_others_are_as_many_as_a_steady_rate_makes(sh
     rng, rate = np.random.default_rng(3), 0.03
     frame = np.cumsum(rng.exponential(1 / rate, 4000))
     far = np.append(True, np.diff(frame) > HIDING_FRAMES)
-    frame = frame[far | (rng.random(4000) < shown)]
+    kept = far | (rng.random(4000) < shown)
+    between = np.floor(frame) - np.floor(np.append(0.0, frame[:-1]))  # frames since the hit before
+    frame = frame[kept]
     table = make_kicks([(0, -1, 0, 0) for _ in frame], np.full(len(frame), 0.1)).assign(t_s=frame / FPS)
     hidden = 4000 - len(frame)
     groups = group_contacts(table, [], 1e-9, 1 / FPS)
     assert groups.hiding[groups.label].sum() == pytest.approx(hidden, rel=0.15 if shown == 0 else 0.4)
+    rows = count_hidden_rows(table, np.arange(int(frame[-1]) + 9), 1 / FPS)
+    assert rows.sum() == pytest.approx(between[~kept].sum(), rel=0.15 if shown == 0 else 0.4)
     assert not group_contacts(table.drop(columns="kick"), [], 1e-9, 1 / FPS).hiding.any()  # all may be given
 
 
@@ -469,6 +505,7 @@ def test_balls_without_a_velocity_may_be_hotter_than_the_others():
     velocities = 0.1 * np.random.default_rng(1).standard_normal((400, 2))
     columns = dict(zip(HALVES, [*velocities.T, *velocities.T], strict=True))
     table = pd.DataFrame(columns).assign(frame=0, gain_even=0.0, gain_odd=0.0, gain_common=0.0, unsure=0.0, unknown=100)
+    table = table.assign(friction_x=0.0, friction_y=0.0)
     found = measure_temperatures(table, 0.0).iloc[0]
     all_hotter, sampling = 0.3 * 100 / 500, np.sqrt(100) / 500  # v^2/2 scatters by its mean
     assert found["temperature_std"] / found["temperature"] == pytest.approx(np.hypot(all_hotter, sampling), rel=0.02)
