@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +16,8 @@ from discrepancy.data.track_checks import covers_contact, remove_filtered_rows
 from discrepancy.fitting.base_fit import fit_base_model, remove_outliers_beside_model
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.noise_refit import refit_noise
-from discrepancy.fitting.stretch_scatter import NO_SCATTER, StretchScatter, fit_scatter
+from discrepancy.fitting.stretch_moves import StretchScatter, add_moves, find_moves
+from discrepancy.fitting.stretch_scatter import NO_SCATTER, add_scatter, fit_scatter
 from discrepancy.fitting.stretch_starts import choose_starts, fit_launches
 from discrepancy.noise.error_trends import remove_frame_shift, rescale_errors
 from discrepancy.noise.model import Noise, estimate_noise
@@ -57,12 +57,15 @@ class SearchData:
 
     def with_scatter(self, scatter: StretchScatter, fit: ModelFit) -> SearchData:
         """Count this scatter from stretch to stretch as noise, with derivatives at a fit of the clips."""
-        clips = scatter.add_to(self.clips, fit.model, fit.launches)
-        launches = np.array([clip.launch for clip in self.held_out])
+        clips = add_scatter(self.clips, fit, scatter, self.noise)
+        held_out = [replace(clip, scatter=None) for clip in self.held_out]
         if not scatter.is_none:
-            with suppress(ValueError):  # the model has no motion for one of them
-                launches = fit_launches(self.held_out, fit.model, self.noise).launches
-        held_out = scatter.add_to(self.held_out, fit.model, launches)
+            try:
+                there = fit_launches(self.held_out, fit.model, self.noise)
+                held_out = add_scatter(self.held_out, there, scatter, self.noise)
+            except ValueError:  # the model has no motion for one of them
+                launches = np.array([clip.launch for clip in self.held_out])
+                held_out = add_moves(self.held_out, find_moves(self.held_out, fit.model, launches), scatter)
         return replace(self, clips=tuple(clips), held_out=tuple(held_out), scatter=scatter)
 
 
@@ -102,7 +105,13 @@ def prepare_data(clips: Sequence[MeasuredCollision], model: Model, stretches: bo
         noise = refit_noise(fitted, base, noise, explained=False) or noise
     left_out = [*note_removed_points(clips, cleaned if stretches else [*fitted, *held_out]), *odd]
     data = SearchData(tuple(fitted), tuple(held_out), noise, tuple(left_out), error_notes=tuple(error_notes))
-    return data if scatter.is_none else data.with_scatter(scatter, base)
+    if scatter.is_none:
+        return data
+    data = data.with_scatter(scatter, base)
+    if not scatter.freedom:
+        return data
+    # few stretches with large accelerations decided that fit; now they count less
+    return data.with_scatter(scatter, fit_base_model(data.clips, model, noise))
 
 
 def _prepare_smoothed(smoothed: Sequence[MeasuredCollision], left_out: Sequence[SearchNote]) -> SearchData:

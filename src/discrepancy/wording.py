@@ -15,7 +15,7 @@ from discrepancy.data.notes import SearchNote, SearchNoteKind
 from discrepancy.fitting.gauss_newton import solve_step
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import BASE_PARAMETERS, find_parameter
-from discrepancy.fitting.stretch_scatter import StretchScatter
+from discrepancy.fitting.stretch_moves import StretchScatter
 from discrepancy.noise.model import Noise
 from discrepancy.outcome import SearchOutcome, Verdict
 from discrepancy.policy import applied_policy, current_policy
@@ -300,6 +300,9 @@ def describe_stretch_scatter(scatter: StretchScatter) -> list[str]:
     if not parts:
         return []
     lines = [f"From stretch to stretch {', '.join(parts[:-1])}{' and ' if parts[1:] else ''}{parts[-1]}."]
+    if scatter.freedom:
+        few = f"(Student's t with {scatter.freedom:.0f} degrees of freedom)"
+        lines.append(f"A few stretches have far larger accelerations {few}.")
     lines.append("The search counts this scatter as noise, so it cannot see causes that are smaller.")
     if scatter.map_log_ratio > current_policy().min_claim_sigma ** 2 / 2:
         lines.append(

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from discrepancy.fitting.stretch_scatter import StretchScatter
+from discrepancy.fitting.stretch_moves import StretchScatter
 from discrepancy.outcome import Verdict
 from discrepancy.select.contact_effects import ContactClaim, ContactNumber
 from discrepancy.select.effect_claim import EffectClaim
@@ -104,6 +104,9 @@ def test_scatter_is_given_in_the_units_of_the_bench():
     text = " ".join(describe_stretch_scatter(air))
     for part in ("0.54 m/s^2", "0.16 m/s^2", "at 0.53 m/s, in proportion to the speed", "within 140 ms"):
         assert part in text
+    assert "Student" not in text
+    tails = "A few stretches have far larger accelerations (Student's t with 2 degrees of freedom)."
+    assert tails in describe_stretch_scatter(dataclasses.replace(air, freedom=2.0))
     assert "rolling" not in text
 
 

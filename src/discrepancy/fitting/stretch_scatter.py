@@ -4,11 +4,6 @@ Real cloth, air and cameras differ from place to place and from shot to shot by 
 parameter that all stretches share describes that. It is a random effect of each stretch (Pinheiro & Bates,
 Mixed-Effects Models in S and S-PLUS, 2000). It therefore belongs to the covariance of the positions. Restricted maximum
 likelihood gives its sizes, if the likelihood pays their price.
-
-A body that glides on air has no friction that holds it to a law. It may touch the plate for part of a stretch, and then
-it loses speed and changes course. So both its loss and its acceleration across the motion are random, and they change
-with time: they are Ornstein-Uhlenbeck processes (Uhlenbeck & Ornstein, Phys. Rev. 36 (1930) 823), whose size is
-proportional to a power of the speed.
 """
 
 from __future__ import annotations
@@ -22,57 +17,44 @@ from scipy.linalg import cholesky, solve_triangular
 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import V0
-from discrepancy.fitting.jacobian import differentiate_tracks
 from discrepancy.fitting.model_fit import ModelFit, orthonormal_basis
 from discrepancy.fitting.noise_refit import RestrictedResiduals
+from discrepancy.fitting.scatter_tails import FREEDOMS, TailLikelihood
+from discrepancy.fitting.stretch_moves import (
+    DISPLACED,
+    ON_AIR,
+    ON_PLATE,
+    AirMoves,
+    Moves,
+    StretchScatter,
+    add_moves,
+    correlate_displacements,
+    find_moves,
+)
 from discrepancy.noise.model import Noise, finite_cost, minimise_cost
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
-from synthcam.model import Model
 from synthcam_shared.arrays import Array
 
-ON_PLATE = ("friction", "loss_m_s2")
-ON_AIR = ("loss_m_s2", "across_m_s2", "lasts_s")
-DISPLACED = ("displacement_m", "reach_m")
+NO_SCATTER = StretchScatter()
 SPEED_POWERS = (0, 1, 2)
 MAX_LOG_GROWTH = 7.0  # of a size, over the one from which its fit starts
 RESIDUAL_TO_PUSH = 27.0  # a constant acceleration a leaves an rms of a T^2 / 27 about a straight line, in a time T
 
 
-@dataclass(frozen=True)
-class StretchScatter:
-    """Standard deviations of what differs from stretch to stretch; zero where nothing does."""
+def add_scatter(
+    clips: Sequence[MeasuredCollision], fit: ModelFit, scatter: StretchScatter, noise: Noise
+) -> list[MeasuredCollision]:
+    """The clips with a scatter in the covariance of their positions, instead of any other.
 
-    friction: float = 0.0  # of the sliding friction, relative
-    loss_m_s2: float = 0.0  # of the rolling loss; on air of the loss at `speed_m_s`
-    displacement_m: float = 0.0  # of each axis, as of a camera's map
-    reach_m: float = 0.0  # over which a displacement stays the same
-    map_log_ratio: float = 0.0  # log likelihood ratio of displacements by one map to new ones in each stretch
-    # The others are only of bodies that glide on air.
-    across_m_s2: float = 0.0  # of the acceleration across the motion, at `speed_m_s`
-    lasts_s: float = 0.0  # the time in which the correlation of either acceleration with itself falls by a factor e
-    speed_power: int = 0  # the power of the speed to which both accelerations are proportional
-    speed_m_s: float = 0.0  # the median speed
-    unlimited: tuple[str, ...] = ()  # sizes with the largest value that the fit allows, because no data limit them
-
-    @property
-    def is_none(self) -> bool:
-        """True if nothing differs."""
-        return not (self.friction or self.loss_m_s2 or self.across_m_s2 or self.displacement_m)
-
-    def is_close_to(self, other: StretchScatter, tolerance: float = 0.15) -> bool:
-        """True if no size differs from the other's by more than this share of the larger one."""
-        pairs = ((getattr(self, name), getattr(other, name)) for name in {*ON_PLATE, *ON_AIR, *DISPLACED})
-        return self.speed_power == other.speed_power and all(abs(a - b) <= tolerance * max(a, b) for a, b in pairs)
-
-    def add_to(self, clips: Sequence[MeasuredCollision], model: Model, launches: Array) -> list[MeasuredCollision]:
-        """The clips with this scatter in the covariance of their positions, instead of any other."""
-        if self.is_none:
-            return [replace(clip, scatter=None) for clip in clips]
-        return _add_scatter(clips, _find_moves(clips, model, launches), self)
-
-
-NO_SCATTER = StretchScatter()
+    fit: of these clips, with `noise`. Its residuals show which stretches have large accelerations (`scatter_tails`).
+    """
+    if scatter.is_none:
+        return [replace(clip, scatter=None) for clip in clips]
+    moves: Sequence[Moves] = find_moves(clips, fit.model, fit.launches)
+    if scatter.freedom:
+        moves = TailLikelihood.of(clips, fit, noise, moves, range(len(clips))).grow(moves, scatter)
+    return add_moves(clips, moves, scatter)
 
 
 def fit_scatter(
@@ -96,7 +78,7 @@ def fit_scatter(
     indices = np.unique(np.linspace(0, len(clips) - 1, min(max_clips, len(clips))).astype(int)).tolist()
     left = RestrictedResiduals.of(clips, fit, noise, indices)
     bare = [replace(clip, scatter=None) for clip in left.clips]
-    moves = _find_moves(bare, fit.model, fit.launches[indices])
+    moves: Sequence[Moves] = find_moves(bare, fit.model, fit.launches[indices])
     way = float(np.median([np.hypot(*np.ptp(clip.xy, axis=0)) for clip in bare]))
     noise_m = noise.scale * float(np.median(np.concatenate([clip.claimed_std() for clip in bare])))
     on_air = not fit.model.sliding_friction
@@ -107,7 +89,12 @@ def fit_scatter(
     best = likelihood.maximise_on_air(least_gain) if on_air else likelihood.maximise([*ON_PLATE, *DISPLACED])
     if likelihood.cost(NO_SCATTER) - best.cost < least_gain + 2 * (len(best.x) - 1):
         return NO_SCATTER
-    found = likelihood.drop_negligible(best.scatter)
+    found = best.scatter
+    if on_air:
+        tails = TailLikelihood.of(clips, fit, noise, moves, indices)
+        found = likelihood.lengthen_tails(found, tails)
+        moves = tails.grow(moves, found) if found.freedom else moves
+    found = likelihood.drop_negligible(found)
     if not found.displacement_m:
         return found
     some = _choose_evenly([len(clip.frame) for clip in bare], max_positions)
@@ -135,7 +122,7 @@ def _start_on_air(left: RestrictedResiduals, moves: Sequence[Moves], way: float,
     start = {"loss_m_s2": push, "across_m_s2": push, "lasts_s": float(np.median(lasts)) / 2}
     # Displacements over more are like accelerations; from small ones, a descent may end at a map of the noise.
     start |= {"displacement_m": 4 * noise_m, "reach_m": 0.06 * way}
-    return start, float(np.median(np.concatenate([move.speeds for move in moves if isinstance(move, _AirMoves)])))
+    return start, float(np.median(np.concatenate([move.speeds for move in moves if isinstance(move, AirMoves)])))
 
 
 class _ScatterFit(NamedTuple):
@@ -160,7 +147,7 @@ class _ScatterLikelihood:
 
     def cost(self, scatter: StretchScatter) -> float:
         """-2 log likelihood."""
-        return replace(self.left, clips=_add_scatter(self.left.clips, self.moves, scatter)).cost(self.noise)
+        return replace(self.left, clips=add_moves(self.left.clips, self.moves, scatter)).cost(self.noise)
 
     def maximise(self, names: Sequence[str], x: Array | None = None, speed_power: int = 0) -> _ScatterFit:
         """Find the most likely sizes of these names; x: where to start the first of them."""
@@ -186,6 +173,31 @@ class _ScatterLikelihood:
             best = grown
         displaced = self.maximise([*ON_AIR, *DISPLACED], speed_power=best.scatter.speed_power)
         return displaced if displaced.cost < best.cost - least_gain else best
+
+    def lengthen_tails(self, normal: StretchScatter, tails: TailLikelihood) -> StretchScatter:
+        """The same scatter on air, or one with the tails of Student's t if that gains enough in likelihood.
+
+        The sizes start from those without tails. Changes of the shared parameters follow from the fit before.
+        """
+        names = [n for n in (*ON_AIR, *DISPLACED) if getattr(normal, n)]
+        first = best = tails.cost(normal, tails.find_multiples(normal)[1])
+        found, x = normal, np.log([getattr(normal, n) / self.start[n] for n in names])
+        for freedom in FREEDOMS:
+            tried = replace(found, freedom=freedom)
+            for _ in range(2):
+                shared = tails.find_multiples(tried)[1]
+
+                def price(x: Array, freedom: float = freedom, shared: Array = shared) -> float:
+                    scatter = self._build(names, x, normal.speed_power)
+                    return tails.cost(replace(scatter, freedom=freedom), shared)
+
+                x = minimise_cost(price, x)
+                tried = replace(self._build(names, x, normal.speed_power), freedom=freedom)
+            cost = tails.cost(tried, tails.find_multiples(tried)[1])
+            if not cost < best:
+                break
+            found, best = tried, cost
+        return found if best < first - current_policy().min_noise_gain - 2 else normal
 
     def drop_negligible(self, scatter: StretchScatter) -> StretchScatter:
         """The same scatter without sizes that are far below those of the start."""
@@ -228,7 +240,7 @@ def _compare_with_map(
     each stretch, chance gives a ratio above x with a probability of at most 1 / x.
     """
     whites, left = list[Array](), list[Array]()
-    for clip, own in zip(_add_scatter(clips, moves, replace(scatter, displacement_m=0.0)), columns, strict=True):
+    for clip, own in zip(add_moves(clips, moves, replace(scatter, displacement_m=0.0)), columns, strict=True):
         white = ClipWhitener.of(clip, noise)
         seen = white.decorrelate(own)
         q = orthonormal_basis(seen[:, :-1])
@@ -242,7 +254,11 @@ def _compare_with_map(
         rows = slice(ends[i], ends[i + 1])
         by_place = one.reshape(len(one), -1, 2).transpose(0, 2, 1)  # (2n, 2, n): each axis by itself
         for j, other in enumerate(whites[: i + 1]):
-            displaced = (by_place @ _kernel(places[i], places[j], scatter)).transpose(0, 2, 1).reshape(len(one), -1)
+            displaced = (
+                (by_place @ correlate_displacements(places[i], places[j], scatter))
+                .transpose(0, 2, 1)
+                .reshape(len(one), -1)
+            )
             total[rows, ends[j] : ends[j + 1]] += displaced @ other.T
         new_cost += _cost_of_normal(total[rows, rows].copy(order="F"), left[i])
     return (new_cost - _cost_of_normal(total, every)) / 2
@@ -253,82 +269,3 @@ def _cost_of_normal(covariance: Array, values: Array) -> float:
     factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
     unit = solve_triangular(factor, values, lower=True, check_finite=False)
     return float(unit @ unit + 2 * np.log(np.diag(factor)).sum())
-
-
-def _kernel(one: Array, other: Array, scatter: StretchScatter) -> Array:
-    apart = ((one[:, None] - other) ** 2).sum(axis=-1)
-    return np.asarray(scatter.displacement_m**2 * np.exp(-apart / (2 * scatter.reach_m**2)))
-
-
-@dataclass(frozen=True)
-class _PlateMoves:
-    """Displacements (n, 2, 2) of a ball on a plate, m: by twice the friction, and by a further loss of 1 m/s^2."""
-
-    by_loss: Array
-
-    def spread(self, scatter: StretchScatter) -> Array:
-        """The covariance (2n, 2n), m^2."""
-        columns = (self.by_loss * [scatter.friction, scatter.loss_m_s2]).reshape(-1, 2)
-        return np.asarray(columns @ columns.T)
-
-
-@dataclass(frozen=True)
-class _AirMoves:
-    """Displacements (2n, n) of a body on air, m, by 1 m/s^2 at each of its times, along the motion and across it."""
-
-    times: Array  # (n,) s
-    speeds: Array  # (n,) m/s
-    along: Array
-    across: Array
-
-    @classmethod
-    def of(cls, clip: MeasuredCollision) -> _AirMoves:
-        """Integrate twice. Velocities are those of a parabola through the measured positions.
-
-        The model's own path would not do: where accelerations scatter much, its fit hardly holds to the positions.
-        """
-        times = clip.frame / clip.fps
-        curve, slope, _ = np.polyfit(times, clip.xy, 2)
-        velocity = 2 * times[:, None] * curve + slope
-        speeds = np.maximum(np.hypot(*velocity.T), 1e-9)
-        ahead = velocity / speeds[:, None]
-        left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
-        since = np.maximum(times[:, None] - times, 0.0) * np.gradient(times)
-        along, across = ((since[:, None] * way.T).reshape(2 * len(times), -1) for way in (ahead, left))
-        return cls(times, speeds, along, across)
-
-    def spread(self, scatter: StretchScatter) -> Array:
-        """The covariance (2n, 2n), m^2."""
-        grown = (self.speeds / scatter.speed_m_s) ** scatter.speed_power
-        kernel = np.exp(-np.abs(self.times[:, None] - self.times) / scatter.lasts_s) * np.outer(grown, grown)
-        both = ((scatter.loss_m_s2, self.along), (scatter.across_m_s2, self.across))
-        return np.asarray(sum(size**2 * moves @ kernel @ moves.T for size, moves in both))
-
-
-Moves = _PlateMoves | _AirMoves
-
-
-def _find_moves(clips: Sequence[MeasuredCollision], model: Model, launches: Array) -> list[Moves]:
-    """Find how friction, loss and acceleration of its own displace each stretch."""
-    if not model.sliding_friction:
-        return [_AirMoves.of(clip) for clip in clips]
-    friction = differentiate_tracks(model, launches, clips, "sliding_friction")
-    loss = differentiate_tracks(model, launches, clips, "rolling_decel")
-    both = zip(friction, loss, strict=True)
-    return [_PlateMoves(np.stack([f * model.sliding_friction, d], axis=-1)) for f, d in both]
-
-
-def _add_scatter(
-    clips: Sequence[MeasuredCollision], moves: Sequence[Moves], scatter: StretchScatter
-) -> list[MeasuredCollision]:
-    out = list[MeasuredCollision]()
-    for clip, move in zip(clips, moves, strict=True):
-        n = len(clip.frame)
-        moved = scatter.friction or scatter.loss_m_s2 or scatter.across_m_s2
-        total = (move.spread(scatter) if moved else np.zeros((2 * n, 2 * n))).reshape(n, 2, n, 2)
-        if scatter.displacement_m:
-            kernel = _kernel(clip.xy, clip.xy, scatter)
-            for axis in range(2):
-                total[:, axis, :, axis] += kernel
-        out.append(replace(clip, scatter=total))
-    return out

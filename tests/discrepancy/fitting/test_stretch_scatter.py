@@ -13,7 +13,8 @@ from discrepancy.fitting import stretch_scatter
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import list_candidates
-from discrepancy.fitting.stretch_scatter import fit_scatter
+from discrepancy.fitting.stretch_moves import AirMoves
+from discrepancy.fitting.stretch_scatter import add_scatter, fit_scatter
 from discrepancy.policy import current_policy
 from discrepancy.select.score_test import ScoreTests
 from synthcam.model import Model
@@ -72,8 +73,11 @@ ON_AIR = Model().replace({"sliding_friction": 0.0, "rolling_decel": 0.02, "rolli
 LASTS = 0.05  # s
 
 
-def glide(seed, along=0.1, across=0.03, power=1, push=(0.0, 0.0), count=24, frames=30):
-    """Stretches of bodies on air, by integration: losses and accelerations across, at 0.35 m/s, that come and go."""
+def glide(seed, along=0.1, across=0.03, power=1, push=(0.0, 0.0), count=24, frames=30, larger=()):
+    """Stretches of bodies on air, by integration: losses and accelerations across, at 0.35 m/s, that come and go.
+
+    larger: the accelerations of the first stretches are larger by these factors.
+    """
     rng, step, out = np.random.default_rng(seed), 1e-3, []
     times = np.arange(frames) / FPS
     for number in range(count):
@@ -83,7 +87,8 @@ def glide(seed, along=0.1, across=0.03, power=1, push=(0.0, 0.0), count=24, fram
         for _ in range(int(times[-1] / step) + 1):
             now = float(np.hypot(*velocity))
             ahead = velocity / now
-            pushed = random * [along, across] * (now / 0.35) ** power - [0.02 + 0.1 * now, 0.0]
+            factor = larger[number] if number < len(larger) else 1.0
+            pushed = factor * random * [along, across] * (now / 0.35) ** power - [0.02 + 0.1 * now, 0.0]
             change = pushed[0] * ahead + pushed[1] * np.array([-ahead[1], ahead[0]]) + push
             place, velocity = place + step * velocity + step**2 / 2 * change, velocity + step * change
             random = random * np.exp(-step / LASTS) + np.sqrt(1 - np.exp(-2 * step / LASTS)) * rng.standard_normal(2)
@@ -101,7 +106,7 @@ def fit_with_scatter(clips):
     """The scatter, the clips with it in their covariance, and the fit of the model to them."""
     first = fit_base_model(clips, ON_AIR, CLAIMED_NOISE)
     scatter = fit_scatter(clips, first, CLAIMED_NOISE)
-    clips = scatter.add_to(clips, first.model, first.launches)
+    clips = add_scatter(clips, first, scatter, CLAIMED_NOISE)
     return scatter, clips, fit_base_model(clips, ON_AIR, CLAIMED_NOISE)
 
 
@@ -113,6 +118,7 @@ def test_accelerations_on_air_are_found_and_how_they_grow_with_the_speed(power):
     assert found.across_m_s2 == pytest.approx(0.03 * size, rel=0.3)
     assert found.lasts_s == pytest.approx(LASTS, rel=0.5)
     assert found.speed_power == power
+    assert not found.freedom
     assert found.displacement_m < STD
     assert fit.chi2 / (fit.points - fit.parameters) == pytest.approx(1, abs=0.1)
 
@@ -129,6 +135,27 @@ def test_short_displacements_hide_no_accelerations_that_last():
     assert found.across_m_s2 == pytest.approx(0.03, rel=0.4)
     assert found.lasts_s == pytest.approx(LASTS, rel=0.6)
     assert found.displacement_m == pytest.approx(size * STD, rel=0.3)
+
+
+@pytest.mark.gate
+def test_two_bodies_that_rub_do_not_decide_the_scatter_of_all():
+    """Without long tails they make it 6 times as large."""
+    found, clips, _ = fit_with_scatter(glide(3, count=20, frames=18, larger=(20.0, 40.0)))
+    assert found.freedom
+    assert found.loss_m_s2 == pytest.approx(0.1, rel=0.6)
+    assert found.across_m_s2 == pytest.approx(0.03, rel=0.6)
+    sizes = [np.trace(clip.scatter.reshape(2 * len(clip.xy), -1)) for clip in clips]
+    assert sorted(np.argsort(sizes)[-2:]) == [0, 1]
+
+
+def test_a_lens_of_the_model_displaces_what_accelerations_displace():
+    """Positions in a picture that is 1.2 times as large: a body on the plate is pushed as before."""
+    clip = glide(3, count=1)[0]
+    plain = AirMoves.of(clip, np.tile(np.eye(2), (len(clip.xy), 1, 1)))
+    larger = AirMoves.of(dataclasses.replace(clip, xy=1.2 * clip.xy), np.tile(1.2 * np.eye(2), (len(clip.xy), 1, 1)))
+    assert larger.speeds == pytest.approx(plain.speeds)
+    assert larger.along == pytest.approx(1.2 * plain.along, abs=1e-12)
+    assert larger.across == pytest.approx(1.2 * plain.across, abs=1e-12)
 
 
 def test_nothing_differs_between_bodies_that_lose_speed_alike():
