@@ -3,6 +3,7 @@
 python -m benchmarks.search.real_causes CLONE [CLONE ...] [--only CAUSE,...] [--jobs N] [-o out/real_causes.jsonl]
 python -m benchmarks.search.real_causes CLONE [CLONE ...] --prepare FOLDER
 python -m benchmarks.search.real_causes FOLDER/SET.pkl [FOLDER/SET.pkl ...] --minutes 2 --jobs 16
+python -m benchmarks.search.real_causes --table out/real_causes.jsonl
 make bench-real-causes CLONES="CLONE ..."
 
 Each CLONE is a clone of one of the repositories that `benchmarks.real.recordings` reads. Its hits are cut into free
@@ -22,7 +23,8 @@ Other strengths are 5 and 10 times the detection limit of the search of the same
 each set says what was put in, what was named, and with which value. Free stretches cannot show the time of all
 recordings, as the effect `clock_error` proves: there the right answer is to name nothing.
 
-A run that was stopped continues: sets whose line the output has are not searched again.
+A run that was stopped continues: sets whose line the output has are not searched again. Each line says by which commit
+it was made. The table of docs/real_tracks.md is printed at the end, or from an output with --table.
 
 The tracks have small accelerations and distortions of their own. `own` is what the set without a cause shows of the
 effect, by one linear step from its base model. `z` is the error of the size, found less own, in its standard errors.
@@ -37,6 +39,7 @@ import json
 import math
 import os
 import pickle
+import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -397,10 +400,14 @@ def main() -> None:
     parser.add_argument("--parts", type=int, default=2, help="sets of recordings of a laboratory")
     parser.add_argument("--every", type=int, default=1, help="keep every so many-th frame of bodies on air")
     parser.add_argument("--minutes", type=float, default=20, help="time limit of a search")
+    parser.add_argument("--table", type=Path, help="print the table of this output, and search nothing")
     parser.add_argument("--prepare", type=Path, help="write the sets to this folder, and search nothing")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("-o", "--output", type=Path, default=Path("out/real_causes.jsonl"))
     given = parser.parse_args()
+    if given.table:
+        print(render_table([json.loads(line) for line in given.table.read_text().splitlines()]))
+        return
     if not given.sources:
         raise SystemExit(f"expected paths to clones of {', '.join(LABORATORIES)}, or sets written with --prepare")
     sets = [one for source in given.sources for one in read_sets(source, given)]
@@ -416,10 +423,12 @@ def main() -> None:
     masses = masses and not any(line["cause"] == "mass of ball a" for line in known)
     clones = [(source, find_laboratory(source)) for source in given.sources if source.is_dir() and masses]
     recoils = (line for source, name in clones for line in relabel_masses(name, LABORATORIES[name][0](source)))
+    commit = find_commit()
     with given.output.open("a") as file:
         searched = run_all(sets, tuple(given.only.split(",")), given.minutes, given.jobs, done)
         for line in itertools.chain(recoils, searched):
-            show(line, file)
+            show(line | {"commit": commit}, file)
+    print(render_table([json.loads(line) for line in given.output.read_text().splitlines()]))
 
 
 def show(line: dict[str, Any], file: IO[str]) -> None:
@@ -427,6 +436,33 @@ def show(line: dict[str, Any], file: IO[str]) -> None:
     file.write(json.dumps(line, default=float) + "\n")
     file.flush()
     print({k: line.get(k) for k in SHOWN}, flush=True)
+
+
+def find_commit() -> str:
+    """Find the commit of this program, with a plus if files differ from it."""
+    asked = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty=+"]
+    return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
+
+
+def render_table(lines: Sequence[dict[str, Any]]) -> str:
+    """Render the lines of sets as a table, with the sums of what was named; sizes are those found, less own."""
+    sets = sorted((line for line in lines if line["cause"] != "mass of ball a"), key=lambda line: line["set"])
+    rows = ["| set | cause | times the limit | result | size over the true one, distance in errors | commit |"]
+    rows.append("|---|---|---|---|---|---|")
+    for line in sets:
+        false = f"false: {', '.join(line['false'])}" if line["false"] else ""
+        named = "named" if line["named"] else f"nothing named ({line['verdict']})"
+        size = ""
+        if line.get("z") is not None:  # the distance of the size, less own, from the strength, in errors
+            size = f"{1 + line['z'] * line['std'] / line['strength']:.2f}, {abs(line['z']):.1f}"
+        result = false if false and not line["named"] else ", ".join(filter(None, [named, false]))
+        times = f"{line['times']:.3g}" if line["shown"] else ""
+        rows.append(f"| {line['set']} | {line['cause']} | {times} | {result} | {size} | {line.get('commit', '')} |")
+    shown = [line for line in sets if line["shown"]]
+    sums = f"named {sum(line['named'] for line in shown)} of {len(shown)} causes with a limit; "
+    return "\n".join(
+        [*rows, "", sums + f"a false name in {sum(bool(line['false']) for line in sets)} of {len(sets)} sets"]
+    )
 
 
 def find_laboratory(source: Path) -> str:

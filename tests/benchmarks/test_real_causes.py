@@ -102,3 +102,16 @@ def test_strengths_are_limits_or_the_largest_that_the_effect_may_have(informatio
     if information > 1e3:
         limit = 5 * 5 / 7 * model.gravity / np.sqrt(information)
         assert [one.times for one in found] == pytest.approx([one.strength / limit for one in found])
+
+
+def test_the_table_counts_what_is_named_and_what_is_false():
+    bare = {"set": "3cushiontool-0", "cause": "none", "times": 0.0, "shown": False, "named": False, "false": []}
+    tilt = bare | {"cause": "acceleration to 20 deg", "shown": True, "times": 5.0, "strength": 0.2, "verdict": "named"}
+    lens = bare | {"cause": "lens +1", "shown": True, "times": 10.0, "strength": 0.2, "verdict": "none"}
+    lines = [bare | {"verdict": "none"}, tilt | {"named": True, "z": -0.5, "std": 0.04}, lens]
+    locked = lens | {"times": 5.0, "false": ["pixel_locking"]}
+    table = real_causes.render_table([*lines, locked])
+    assert "| 3cushiontool-0 | acceleration to 20 deg | 5 | named | 0.90, 0.5 |" in table
+    assert "| 3cushiontool-0 | lens +1 | 10 | nothing named (none) |" in table
+    assert "| 3cushiontool-0 | lens +1 | 5 | false: pixel_locking |" in table
+    assert table.endswith("named 1 of 3 causes with a limit; a false name in 1 of 4 sets")
