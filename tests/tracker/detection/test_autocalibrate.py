@@ -6,7 +6,9 @@ from tracker_film import CAMERA, collision, film
 
 from tracker.camera.camera import Camera
 from tracker.camera.recordings import Frames, Recording
+from tracker.detection import autocalibrate
 from tracker.detection.detect import detect, make_view
+from tracker.detection.likelihood import glint_fit
 
 
 def shown(frames, without, **changed):
@@ -34,6 +36,22 @@ def test_noise_of_the_sensor(gain, read, black):
     assert sensor.gain == pytest.approx(gain, rel=0.35)
     assert sensor.read_noise / sensor.gain == pytest.approx(read / gain, rel=0.1)
     assert {"sensor.gain", "sensor.read_noise", "sensor.black_level"} <= set(view.camera.assumed)
+
+
+def test_fits_with_other_settings_take_few_steps(monkeypatch):
+    """They start at fitted positions. From the middles of the pixels each took seven steps."""
+    done = []
+
+    def counted(whole):
+        return lambda *given, **named: done.append(whole) or whole(*given, **named)
+
+    fit, step = autocalibrate.fit_glints, glint_fit._compare
+    monkeypatch.setattr(autocalibrate, "fit_glints", counted(fit))
+    monkeypatch.setattr(glint_fit, "_compare", counted(step))
+    frames = film(np.random.default_rng(0), collision(40, contact=18.3, speed=3.0))
+    make_view(shown(frames, {"psf", "lamp", "sensor"}, sensor={"bits": 8}))
+    assert 40 < done.count(fit) < 100
+    assert done.count(step) < 4 * done.count(fit)
 
 
 def test_twelve_bits_in_sixteen_are_known_by_their_ceiling():

@@ -67,13 +67,14 @@ def fit_glints(
     sensor: SensorSpec,
     profile: BallProfile | None = None,
     tolerance: float = 0.003,
+    max_steps: int = 30,
 ) -> GlintFit:
     """Fit a glint of width `sigma`, px, to each window, on a ball profile of known shape or on a bowl of its own.
 
     A step below `tolerance`, px and log flux, is the last one: the next would be a hundredth of it. A fit that still
     moves after `few_steps` on less light than the error of that is no glint. It ends unconverged.
     """
-    max_steps, few_steps = 30, 8  # of Fisher scoring
+    few_steps = 8  # of Fisher scoring
     theta = _clip_parameters(_start(windows, sigma, sensor, profile), windows.half)
     active, part, limit = np.arange(len(windows)), windows, _step_limits(sigma)
     ended, fits = [], []
