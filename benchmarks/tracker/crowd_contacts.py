@@ -1,8 +1,9 @@
 """The contacts of crowds and what each gives, with their errors, against the truth of the simulation.
 
-python -m benchmarks.tracker.crowd_contacts [--films 20] [--scene crowd] [--rendered]   # or make bench-crowd-contacts
+python -m benchmarks.tracker.crowd_contacts [--films 20] [--first 1] [--scene crowd] [--rendered]
 
-A run that was stopped continues: films whose line OUTPUT.jsonl has are not measured again.
+Or `make bench-crowd-contacts`. A run that was stopped continues: films whose line OUTPUT.jsonl has are not measured
+again.
 
 Positions are true ones with 0.05 px noise, unless films are rendered and tracked. The score z is a deviation over its
 standard error. Each column of contacts.parquet has its mean and rms z, and the shares of |z| below 1 and 1.96: 0.68 and
@@ -12,6 +13,7 @@ standard error. Each column of contacts.parquet has its mean and rms z, and the 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -145,13 +147,13 @@ def score(z: Floats) -> dict[str, float]:
     }
 
 
-def measure_films(scene: str, count: int, kept: Path, *, rendered: bool = False) -> dict[str, Any]:
+def measure_films(scene: str, numbers: Sequence[int], kept: Path, *, rendered: bool = False) -> dict[str, Any]:
     """Recall and precision of contacts, scores of each column, scores of the means of the films, and the films.
 
     kept: the file of the films that were measured before.
     """
     films = list[dict[str, Any]]()
-    for number in range(1, count + 1):
+    for number in numbers:
         part = f"{'rendered ' if rendered else ''}{scene} {number}"
         films.append(keep(kept, part, partial(measure_film, scene, number, rendered=rendered)))
         print(part, *(f"{name} {mean}" for name, mean in films[-1]["means"].items()), flush=True)
@@ -177,12 +179,14 @@ def main() -> None:
     """Measure all films and write the scores of each column."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--films", type=int, default=20)
+    parser.add_argument("--first", type=int, default=1, help="seed of the first film")
     parser.add_argument("--scene", default="crowd")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out/crowd_contacts.json")
     parser.add_argument("--rendered", action="store_true", help="render the films and track them")
     given = parser.parse_args()
     kept = given.output.with_suffix(".jsonl")
-    figures = measure_films(given.scene, given.films, kept, rendered=given.rendered)
+    numbers = range(given.first, given.first + given.films)
+    figures = measure_films(given.scene, numbers, kept, rendered=given.rendered)
     save(given.output, figures)
     print(pd.DataFrame(figures["columns"]).T.round(2).to_string())
     print({name: value for name, value in figures.items() if name not in ("columns", "films")})

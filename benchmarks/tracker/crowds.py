@@ -184,7 +184,7 @@ def main() -> None:
     for name, make in long_films.items():
         figures[name] = keep(kept, name, make)
         print(name, figures[name], flush=True)
-    figures["contacts"] = measure_films("crowd", given.films or films, kept)
+    figures["contacts"] = measure_films("crowd", range(1, (given.films or films) + 1), kept)
     print({name: value for name, value in figures["contacts"].items() if name != "films"})
     ranked = rank_linkers(figures["linking"])
     print(ranked.round(3).to_string())

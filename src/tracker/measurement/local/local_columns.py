@@ -50,6 +50,7 @@ class LocalErrors:
     log_ratio_std: float = 0.0
     allowances: float = 1.0  # size of the errors of what is known of the motions of a crowd, over the assumed one
     mass_excess: float = 0.0  # the same logarithm where masses are given, which recoil contradicts by this
+    common_n: float | None = None  # of what all hits share along n, over the normal speed; None: the bias and its error
     hits: int = 0  # from which these are fitted; 0: a prior
 
 
@@ -228,7 +229,7 @@ def _list_common_errors(
     """
     weights = response[LOCAL_NAMES.index("balance_n")] * np.tile([1.0, 0.0], 4)
     total, out = float(weights @ weights), {}
-    size = float(np.hypot(errors.bias_n, errors.bias_std))
+    size = float(np.hypot(errors.bias_n, errors.bias_std)) if errors.common_n is None else errors.common_n
     if size and total > 0:
         unit = size * json.loads(row["local"])["vn"] / np.sqrt(total)
         out = {f"bias_{VELOCITIES[k][:3]}": (errors.bias_n, response[:, k] * unit) for k in np.flatnonzero(weights)}
@@ -287,12 +288,30 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> Loca
         hits=len(usable),
     )
     errors = replace(errors, allowances=allowances)
+    if any(row.get("status") == CROWD for row in usable):
+        errors = replace(errors, common_n=_find_common_error(errors))
     if recoil and any(raw["masses_known"] for raw in found):
         return replace(errors, mass_excess=-float(best[1]))
     if recoil:
         half = float(np.clip(-best[1] / 2, -0.99, 0.99))  # the balance goes as tanh(log_ratio / 2)
         errors = replace(errors, log_ratio=2 * np.arctanh(half), log_ratio_std=float(doubt[1]) / (1 - half**2))
     return errors
+
+
+def _find_common_error(errors: LocalErrors) -> float:
+    """Find the size of what all contacts of a crowd share along n, over the normal speed.
+
+    It is the root mean square over all sizes that agree with the bias, and at most the bias with its error. Balls of a
+    crowd meet in all places and directions. So the prior is the half of a normal distribution, with the size of what
+    the four velocities of a single contact err by.
+    """
+    usual = 2 * errors.error_n
+    sizes = np.linspace(0.0, 6.0, 601) * usual
+    variance = sizes**2 + errors.bias_std**2
+    chance = -(sizes**2) / usual**2 / 2 - errors.bias_n**2 / variance / 2 - np.log(variance) / 2
+    weights = np.exp(chance - chance.max())
+    agreed = float(np.sqrt(weights @ sizes**2 / weights.sum()))
+    return min(agreed, float(np.hypot(errors.bias_n, errors.bias_std)))
 
 
 def _is_of_many_masses(

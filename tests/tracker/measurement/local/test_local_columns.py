@@ -110,6 +110,29 @@ def find_rms_z_of_r(rows):
     return np.sqrt(np.mean([((row["r_local"] - 0.8) / row["r_local_std"]) ** 2 for row in rows]))
 
 
+@pytest.mark.parametrize(("size", "residual"), [(0.0, 0.02), (0.006, 1e-5)])
+def test_what_all_contacts_of_a_crowd_share_is_as_large_as_it_is(size, residual):
+    """Twelve films of 12 contacts, whose velocities err by 0.003 each, and by a bias that all contacts of a film share.
+
+    Noise of 0.02 hides what they share. Then it counts as no larger than what a single contact may err by, instead of
+    the bias that the noise makes, and its error.
+    """
+    biases, claims, noise = size * np.random.default_rng(8).standard_normal(12), [], []
+    for seed, bias in enumerate(biases):
+        rows = [row | {"status": "crowd"} for row in draw_rows(12, 0.003, 0.003, bias, seed=seed, residual=residual)]
+        errors = calibrate_rows(rows)
+        shared = json.loads(apply_errors(rows[0], errors)["local_shared"])
+        parts = [block["effect"]["balance_n"] for key, block in shared.items() if key.startswith("bias_")]
+        claims.append(np.linalg.norm(parts) / json.loads(rows[0]["local"])["vn"])
+        noise.append(np.hypot(errors.bias_n, errors.bias_std))
+    claim = np.sqrt(np.mean(np.square(claims)))
+    if size:
+        assert 0.7 < claim / np.sqrt(np.mean(np.square(biases))) < 1.4
+    else:
+        assert claim < 0.006
+        assert claim < 0.6 * np.sqrt(np.mean(np.square(noise)))
+
+
 def test_many_balances_show_that_a_crowd_needs_no_allowance_for_its_motions():
     """Noise makes errors of 0.02 m/s. Motions may make 0.03 m/s, and make none: r would have 1.8 of its error."""
     rows = calibrate_set(draw_rows(120, 1e-5, 1e-5, 0.0, residual=0.02, allowed=0.03))
