@@ -29,7 +29,8 @@ from tracker.measurement.collision.hidden_duration import (
     measure_closing_speed,
     measure_hidden_duration,
 )
-from tracker.measurement.collision.lasting_contact import LastingFit, LastingResiduals
+from tracker.measurement.collision.lasting_fit import LastingFit
+from tracker.measurement.collision.lasting_motion import LastingResiduals
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
 from tracker.measurement.positions import BallTrack
 

@@ -60,6 +60,7 @@ from tracker.measurement.collision.collision_fit import (
     name_quantities_of_slide,
 )
 from tracker.measurement.collision.collision_model import FREE, SPIN, TARGET, TIED, tied_to_free
+from tracker.measurement.collision.contact_frames import count_contact_frames
 from tracker.measurement.collision.contacts import (
     Contact,
     ContactCandidate,
@@ -74,7 +75,7 @@ from tracker.measurement.collision.contacts import (
 from tracker.measurement.collision.departures import LawDeparture, compare_losses, find_slope_of_friction
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.collision.hidden_duration import measure_hidden_duration
-from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, count_contact_frames, shows_friction
+from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, shows_friction
 from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.collision.noise_correlation import variance_of_residuals
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, StayingPair, find_staying_pairs
