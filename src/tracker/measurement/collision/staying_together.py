@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synthcam_shared.arrays import Array
+from synthcam_shared.arrays import Array, Index
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import fit_velocity
 from tracker.measurement.positions import BallTrack, measure_separation
@@ -40,7 +40,7 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float, *, may_roll:
     """
     usual_friction = 0.2  # of balls that slide on a plate
     max_speed_share = 0.03  # speed at which balls that stay together may move apart, over the closing speed
-    min_frames, approach_frames = 10, 8  # for which they stay together; before the touch, which give the closing speed
+    min_frames = 10  # for which they stay together
     # Standard errors of that speed from which on the balls part, as rolling ones do that touch twice. In 20 simulated
     # and 6 real pairs with tape it was at most 2.5.
     parting_sigma = 5.0
@@ -53,14 +53,14 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float, *, may_roll:
     near = apart < diameter + depth + 3 * noise
     edges = np.flatnonzero(np.diff(np.concatenate([[0], near.astype(np.int8), [0]])))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        early = np.arange(max(begin - approach_frames, 0), begin)
-        if end - begin < min_frames or len(early) < 3:
+        approach = _find_approach(time, apart, begin, noise) if end - begin >= min_frames else None
+        if approach is None:
             continue
-        closing, closing_std = fit_slope(time[early], apart[early], noise)
+        early, closing = approach
         late = np.arange((begin + end) // 2, end)
         parts = [fit_slope(time[rows], apart[rows], noise) for rows in (late, late[len(late) // 2 :])]
         limit = max_speed_share * abs(closing)
-        if closing > -5 * closing_std or any(std > limit or abs(v) > max(3 * std, limit) for v, std in parts):
+        if any(std > limit or abs(v) > max(3 * std, limit) for v, std in parts):
             continue
         inside = begin + int(np.argmax(apart[begin:end] < diameter))
         lines = [(track, *fit_velocity(track.where(np.isin(track.frame, frames[early])))) for track in (a, b)]
@@ -88,6 +88,19 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float, *, may_roll:
             r_std=float(np.linalg.norm([drift, drift_std, parting, hidden]) / abs(closing)),
             bounces=leave or parting > limit or leave_contact(excess, noise, diameter),
         )
+
+
+def _find_approach(time: Array, apart: Array, begin: int, noise: float) -> tuple[Index, float] | None:
+    """Rows (n,) before a touch that show an approach, as few as do, and the rate of the separation, m/s, under 0."""
+    least_sigma = 5.0
+    for frames in (8, 16, 32):
+        early = np.arange(max(begin - frames, 0), begin)
+        if len(early) < 3:
+            return None
+        closing, std = fit_slope(time[early], apart[early], noise)
+        if closing < -least_sigma * std:
+            return early, closing
+    return None
 
 
 def measure_first_parting(excess: Array, noise: float) -> float:

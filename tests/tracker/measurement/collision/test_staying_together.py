@@ -40,6 +40,14 @@ def test_tape_has_a_restitution_of_zero(b, noise):
     assert abs(row["b"]) == pytest.approx(abs(b), abs=4 * row["b_std"])
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_tape_is_seen_where_noise_hides_the_approach_from_frame_to_frame(seed):
+    """The balls come nearer by .15 mm in each frame, with noise of .16 mm: eight frames do not show that."""
+    row = measure(SoftHit(0.013, sticky=True, v0=0.18, b=0.58, fps=1000.0, before=80, noise=1.13e-4), seed).iloc[0]
+    assert row["status"] == "stay_together"
+    assert row["v0"] == pytest.approx(0.18, abs=4 * row["v0_std"])
+
+
 def test_the_answer_names_the_frames():
     table = measure(SoftHit(0.012, sticky=True, after=180))
     text = "\n".join(format_for_terminal(table))
