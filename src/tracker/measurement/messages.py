@@ -8,7 +8,7 @@ from collections import Counter
 import numpy as np
 import pandas as pd
 
-from tracker.measurement.collision.adequacy import MEASURED, MISFIT, Flag
+from tracker.measurement.collision.adequacy import MEASURED, MISFIT, MISFIT_LEVEL, Flag
 from tracker.notes import Note, NoteKind
 
 _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
@@ -60,7 +60,7 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
     p_values = estimates[["adequate", "adequate_free", "agree"]].min(axis=1)
     lasts = estimates["flags"].str.contains(Flag.LASTS_OR_SMALLER)
     # the flags tell of the other misfits
-    rejected = estimates[(estimates["status"] == MISFIT) & (p_values < 1e-6) & ~lasts]
+    rejected = estimates[(estimates["status"] == MISFIT) & (p_values < MISFIT_LEVEL) & ~lasts]
     if len(rejected):
         measured = int(estimates["status"].isin(MEASURED).sum())
         median = float((rejected["chi2"] / rejected["dof"]).median())

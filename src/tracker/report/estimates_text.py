@@ -12,7 +12,15 @@ import numpy as np
 import pandas as pd
 
 from synthcam_shared.report.numbers import NOT_KNOWN, format_with_error
-from tracker.measurement.collision.adequacy import CROWD, MEASURED, MISFIT, ONE_BALL, TOGETHER, Flag
+from tracker.measurement.collision.adequacy import (
+    CROWD,
+    MEASURED,
+    MISFIT,
+    ONE_BALL,
+    TOGETHER,
+    Flag,
+    list_disproving_values,
+)
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.local.recommendation import find_recommended_suffix
@@ -160,6 +168,11 @@ def describe_status(row: Mapping[str, Any]) -> str:
         model = "the model of two equal balls that roll, push each other for a while, slide and roll on"
     else:
         model = "the model of two equal balls that roll, collide and slide"
+    if values := list_disproving_values(row):
+        return (
+            f"Two balls collide. Their tracks agree with {model}, but only with {' and '.join(values)}, and no two "
+            "balls can have that"
+        )
     if row["status"] == MISFIT:
         return f"Two balls collide. Their tracks reject {model}"
     if row.get("contact_first", -1) < 0 and not is_straight(row):
@@ -210,10 +223,15 @@ def explain_dashes(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES
     local = [_is_known(row, f"{n}_local") for n in names]
     if any(local) and not all(local):
         reasons.append("local estimate: the positions near the contact do not show it")
+    values = list_disproving_values(row)
+    impossible = f"{' and '.join(values)} {'is' if len(values) == 1 else 'are'} impossible" if values else ""
     if "" not in order_methods(row):
-        reasons.append("tied fit: not shown, because the tracks reject it; its values are in the table of estimates")
+        reasons.append(
+            f"tied fit: not shown, because {impossible or 'the tracks reject it'}; its values are in the table of "
+            "estimates"
+        )
     elif row["status"] == MISFIT and bare:
-        reasons.append("no error: the tracks reject the fit")
+        reasons.append(f"no error: {impossible or 'the tracks reject the fit'}")
     shown = [n for n in names if any(_is_known(row, f"{n}{s}") for s in METHODS)]
     if any(not _is_known(row, f"{n}_paper") for n in shown):
         if lasts:

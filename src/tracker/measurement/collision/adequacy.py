@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 from typing import Any
 
@@ -64,6 +65,20 @@ VALUE_RANGES = {  # least and largest value of a quantity, with the flags of tho
     "mu_k": (0.0, Flag.MU_K_UNDER_0, 1.5, Flag.MU_K_OVER_1_5),
     "v0": (0.0, Flag.V0_UNDER_0, 20.0, Flag.V0_OVER_20),  # m/s
 }
+
+
+MISFIT_LEVEL = 1e-6  # p-value below which a text says that the tracks reject a fit
+
+
+def list_disproving_values(row: Mapping[str, Any]) -> list[str]:
+    """List the impossible values for which alone a collision is a misfit; none where its tracks reject the model."""
+    flags = str(row.get("flags", "")).split("|")
+    of_model = {Flag.LASTS_OR_SMALLER, Flag.LOSSES_DIFFER, Flag.FRICTION_CHANGES}
+    p_values = (row.get(name) for name in ("adequate", "adequate_free", "agree"))
+    rejected = any(p is not None and p < MISFIT_LEVEL for p in p_values)
+    if row["status"] != MISFIT or rejected or of_model & {*flags}:
+        return []
+    return [flag for flag in Flag if flag.is_impossible and flag in flags]
 
 
 def compute_p_value(square: float, dof: float, noise_dof: float) -> float:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER
+from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER, list_disproving_values
 
 TIED, FREE, LOCAL, NONE = "tied", "free", "local", "none"
 SUFFIXES = {TIED: "", FREE: "_free", LOCAL: "_local"}  # of the columns of each estimate
@@ -34,6 +34,8 @@ def recommend(row: Mapping[str, Any]) -> dict[str, str]:
             return _because(LOCAL, f"the local estimate contradicts the tied fit by {sigmas:.1f} errors in {other}")
         return _because(NONE, f"the local estimate contradicts the tied fit, and has itself a fault: {doubt}")
     reason = "the tracks reject the tied fit" if row["status"] == MISFIT else "the tied fit does not show r"
+    if values := list_disproving_values(row):
+        reason = f"the tied fit has an impossible value: {' and '.join(values)}"
     if foreign and row["status"] == "ok":
         reason = foreign
     elif row["status"] == CROWD:
