@@ -271,7 +271,7 @@ def _track_clip(
         raise InputError(f"{path}: not enough memory for its {asked} pixels") from None
     files, notes = dict[str, bytes](), result.notes
     if is_refused_clip(result.found, result.rows):
-        refusals = draw_refusals(clip, result.found)
+        refusals = draw_refusals(clip, result.found, result.detected)
         files, notes = {REFUSALS: refusals.png}, (*notes, refusals.note)
     elif drawn := _draw_misfit(result, len(source), clip.frames):
         files, notes = {MISFITS: drawn.png}, (*notes, drawn.note)

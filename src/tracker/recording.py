@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -44,6 +44,7 @@ from tracker.detection.diagnose import (
     explain_no_glints,
     explain_no_paths,
     follow_bodies,
+    warn_of_exchanges,
     warn_of_missed_examples,
     warn_of_moving_camera,
 )
@@ -97,6 +98,8 @@ class Result:
         How many were tracked; 0 of tracks made elsewhere.
     detector : str
         Its name; empty for tracks made elsewhere.
+    detected : Glints
+        What it found, also what belongs to no track; empty for tracks made elsewhere.
 
     Examples
     --------
@@ -115,6 +118,7 @@ class Result:
     notes: tuple[Note, ...] = ()
     frames: int = 0
     detector: str = ""
+    detected: Glints = field(default_factory=Glints.none)
 
     @cached_property
     def tracks(self) -> pd.DataFrame:
@@ -460,7 +464,17 @@ def track_and_measure(
         *describe_exposure(tracked.camera, f"{results.EXPOSURE_SEEN_KEY} in {results.RUN}"),
     )
     used = detector_name(selected.name if selected else name or DEFAULT)
-    return Result(clip.number, tracked.camera, edited.tracks, tuple(rows), motion, notes, len(clip.frames), used)
+    return Result(
+        clip.number,
+        tracked.camera,
+        edited.tracks,
+        tuple(rows),
+        motion,
+        notes,
+        frames=len(clip.frames),
+        detector=used,
+        detected=tracked.detected,
+    )
 
 
 def _track_by_choice(
@@ -538,6 +552,7 @@ class TrackedClip:
     reason: str  # why there is no ball, or ''
     notes: tuple[Note, ...]
     loose_ends: LooseEnds
+    detected: Glints  # also what belongs to no track
     hint: str = ""  # what may help against these
 
 
@@ -564,9 +579,9 @@ def track_clip(clip: Recording, name: DetectorChoice = DEFAULT, settings: Tracke
     notes += make_notes(NoteKind.LINKING, [describe_speed_limit(view.settings.link, settings.link)], clip.number)
     loose = count_loose_ends(tracks, view.camera.size, spans)
     moving = warn_of_moving_camera(clip.frames) if loose.are_most else ()
-    notes += make_notes(NoteKind.LINKING, moving, clip.number)
+    notes += make_notes(NoteKind.LINKING, (*moving, *warn_of_exchanges(tracks)), clip.number)
     hint = LooseEnds.HINT_AT_BODIES if name == GLINTS else ""
-    return TrackedClip(tracks, view.camera, why, tuple(notes), loose, hint)
+    return TrackedClip(tracks, view.camera, why, tuple(notes), loose, found.glints, hint)
 
 
 def _detect_and_link(
@@ -574,7 +589,8 @@ def _detect_and_link(
 ) -> tuple[Detections, View, Tracks]:
     """Detect and link the balls of a recording; again if the tracks leave glints out that faster balls explain.
 
-    spans: first and last frames of takes. The view has the settings that were used.
+    spans: first and last frames of takes. Detections have the numbers of their frames, and lie in the area of the
+    search. The view has the settings that were used.
     """
     takes, point = spans if view.takes is not None else (), find_detected_point(name, clip.camera)
 
@@ -601,7 +617,7 @@ def _detect_and_link(
         if faster is not usual:
             found, used, glints = detect_in(set_link_settings(view, faster))
             tracks = link(used, glints)
-    return found, used, tracks
+    return replace(found, glints=glints), used, tracks
 
 
 def measure_clip(

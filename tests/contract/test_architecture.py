@@ -163,7 +163,7 @@ LAYERS = {
         "glints background",
         "detector outlines",
         "own_detector",
-        "likelihood",
+        "likelihood following",
         "link autocalibrate",
         "detectors linkers",
         "detect",

@@ -112,11 +112,13 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     score: the number of round bodies of one size, times the share of the changed pixels that they cover. Shadows, hands
     and cues cover the rest. Grey is kept unless another plane has 1.5 times its score, or 1.2 times where bodies cover
     less than half of what changes in grey. That may still hide a ball. A plane in which shadows hardly show replaces it
-    if it has 1.3 times as many bodies, less the changes of their number. If the camera knows the diameter of its balls,
-    only bodies of about that size count. The second result is a note with the reason; '' for grey.
+    if it has 1.3 times as many bodies, less the changes of their number. Bodies that cover little of what changes are
+    noise, whatever their number. If the camera knows the diameter of its balls, only bodies of about that size count.
+    The second result is a note with the reason; '' for grey that no plane rivals.
     """
     longest_side_px = 960  # of the pictures that are compared
     min_score = 3.0  # least bodies in the 15 frames that another channel than grey must show
+    min_share = 0.2  # of what changes in a plane, which bodies cover that are more than noise
     more_bodies = 1.3  # at 1.3 or more, grey hides at least one of four balls
     if frames.colours is None:
         return GREY, ""
@@ -129,15 +131,18 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     for name in (*CHANNELS[1:], *PLANES):
         make = read_plane(name, lambda: colours, white)
         found[name] = _rate_plane([make(picture) for picture in colours], expected)
+    noisy = {name for name, rating in found.items() if name != GREY and rating.share < min_share}
+    rivals = found
+    found = {name: rating for name, rating in rivals.items() if name not in noisy}
     most = max(rating.score for rating in found.values())
     best = next(name for name, rating in found.items() if rating.score >= 0.9 * most)  # the plainest of equals
     if most < min_score or most < (1.5 if found[GREY].share > 0.5 else 1.2) * found[GREY].score:
         best = GREY
     least = max(more_bodies * found[best].bodies, min_score)
-    more = [name for name in PLANES if found[name].bodies - found[name].changes >= least]
+    more = [name for name in PLANES if name in found and found[name].bodies - found[name].changes >= least]
     best = max(more, key=lambda name: found[name].score, default=best)
     if best == GREY:
-        return GREY, ""
+        return GREY, _describe_noise(found[GREY], {name: rivals[name] for name in noisy}, min_score)
     fewer = found[best].bodies < found[GREY].bodies
     return best, (
         f"channel: {best}, because it shows {found[best].describe()}, and grey {found[GREY].describe()}; "
@@ -159,6 +164,17 @@ class _Rating:
 
     def describe(self) -> str:
         return f"{self.bodies} round bodies ({100 * self.share:.0f} % of what changes)"
+
+
+def _describe_noise(grey: _Rating, noisy: dict[str, _Rating], min_score: float) -> str:
+    """Say which plane shows more bodies than grey, but among so much else that they are noise; '' if none does."""
+    name = max(noisy, key=lambda name: noisy[name].bodies, default="")
+    if not name or noisy[name].score < max(min_score, 1.2 * grey.score):
+        return ""
+    return (
+        f"channel: {GREY}, because {name} shows {noisy[name].describe()}, which noise does too, and {GREY} "
+        f"{grey.describe()}; --channel, --colour or --ball X,Y@FRAME say how the balls show"
+    )
 
 
 def _rate_plane(pictures: list[NDArray[Any]], expected: float | None) -> _Rating:

@@ -15,7 +15,7 @@ from tracker.camera.film_options import BallExample
 from tracker.camera.frames import GREY, pick_spread, spread_frames
 from tracker.detection.candidates import CandidateSearch, EmptyPlate
 from tracker.detection.detector import View
-from tracker.detection.glints import Glints
+from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.link import Tracks
 
 MIN_DETECTIONS = 6  # in a clip; with fewer there is a reason to explain
@@ -192,6 +192,23 @@ def warn_of_missed_examples(tracks: Tracks, examples: Sequence[BallExample], vie
             "another frame, its radius (X,Y,R@FRAME), or --colour"
         )
     return tuple(notes)
+
+
+def warn_of_exchanges(tracks: Tracks) -> tuple[str, ...]:
+    """Name, as a warning, the balls that may have exchanged their numbers, and the frames from which on."""
+    most = 5  # frames that are named
+    doubtful = np.array([PositionFlag.EXCHANGE.word in flags.split("|") for flags in tracks.flags.tolist()], dtype=bool)
+    if not doubtful.any():
+        return ()
+    frame, particle = tracks.frame[doubtful], tracks.particle[doubtful]
+    frames = np.unique(frame).tolist()
+    named = [f"{' and '.join(map(str, sorted(particle[frame == k].tolist())))} in frame {k}" for k in frames[:most]]
+    more = f" and {len(frames) - most} more" if len(frames) > most else ""
+    return (
+        f"balls may have exchanged their numbers in {len(frames)} frame{'s' * (len(frames) > 1)}, because other links "
+        f"are nearly as likely there: {', '.join(named)}{more} ({PositionFlag.EXCHANGE.word} in column flags of "
+        "tracks); compare overlay.mp4, and exchange numbers back by --edits",
+    )
 
 
 @dataclass(frozen=True)

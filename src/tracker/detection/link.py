@@ -4,20 +4,21 @@
 likelihood.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from synthcam_shared.arrays import Array, Ints
+from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.camera import Camera
-from tracker.camera.frames import pick_spread
-from tracker.detection.assignment import link_frame
-from tracker.detection.few_balls import follow_apart
-from tracker.detection.glints import Glints, RowArrays, describe_flags
-from tracker.detection.motion_filter import MotionNoise, PredictedBalls
+from tracker.detection.following.assignment import link_frame
+from tracker.detection.following.few_balls import follow_apart
+from tracker.detection.following.motion_filter import UNBOUNDED, MotionNoise, PredictedBalls
+from tracker.detection.following.shown_motion import measure_motion
+from tracker.detection.glints import Glints, PositionFlag, RowArrays, describe_flags
 from tracker.settings import USUAL_SPEED_M_S, USUAL_STEP_PX, LinkSettings
 
 
@@ -51,6 +52,19 @@ class Tracks(RowArrays):
         return np.stack([self.x, self.y], axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class Links:
+    """The tracks of n detections."""
+
+    ids: Ints  # (n,) number of the track of each, or -1
+    doubtful: Flags  # (n,) from this one on its track may be that of another ball
+
+    @classmethod
+    def none(cls, count: int) -> Links:
+        """Detections that belong to no track."""
+        return cls(np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=bool))
+
+
 def link_into_tracks(
     glints: Glints,
     camera: Camera,
@@ -67,20 +81,22 @@ def link_into_tracks(
     """
     settings = settings or LinkSettings()
     diameter = 2 * float(np.sqrt(np.median(glints.flux) / np.pi)) if point == "centre" and len(glints) else None
+    links = Links.none(len(glints))
     if linker is not None:
-        ids = linker(glints)
+        links = replace(links, ids=linker(glints))
     elif len(takes) > 1:
-        ids = np.full(len(glints), -1, dtype=np.int64)
         for first, last in takes:  # particles are numbered on through all takes
             rows = np.flatnonzero((glints.frame >= first) & (glints.frame <= last))
-            own = assign_track_numbers(glints.take(rows), camera, diameter, settings)
-            ids[rows] = np.where(own >= 0, own + ids.max(initial=-1) + 1, -1)
+            own = link_detections(glints.take(rows), camera, diameter, settings)
+            links.doubtful[rows] = own.doubtful
+            links.ids[rows] = np.where(own.ids >= 0, own.ids + links.ids.max(initial=-1) + 1, -1)
     else:
-        ids = assign_track_numbers(glints, camera, diameter, settings)
-    kept = np.flatnonzero(ids >= 0)
-    order = kept[np.lexsort((glints.frame[kept], ids[kept]))]
-    chosen, particle = glints.take(order), ids[order]
-    x, y, flags = chosen.x, chosen.y, describe_flags(chosen.flags)
+        links = link_detections(glints, camera, diameter, settings)
+    kept = np.flatnonzero(links.ids >= 0)
+    order = kept[np.lexsort((glints.frame[kept], links.ids[kept]))]
+    chosen, particle = glints.take(order), links.ids[order]
+    x, y = chosen.x, chosen.y
+    flags = describe_flags(chosen.flags | np.where(links.doubtful[order], PositionFlag.EXCHANGE, 0))
     tracks = Tracks(chosen.frame, particle, x, y, chosen.cov, chosen.flux, flags, x, y, chosen.fixed)
     return tracks if point == "centre" else to_centres(tracks, camera)
 
@@ -88,20 +104,31 @@ def link_into_tracks(
 def assign_track_numbers(
     glints: Glints, camera: Camera, diameter: float | None = None, settings: LinkSettings | None = None
 ) -> Ints:
-    """Link the detections of all frames: the number of the track (n,) to which each belongs.
+    """Link the detections of all frames: the number of the track (n,) to which each belongs, as `link_detections`."""
+    return link_detections(glints, camera, diameter, settings).ids
+
+
+def link_detections(
+    glints: Glints, camera: Camera, diameter: float | None = None, settings: LinkSettings | None = None
+) -> Links:
+    """Link the detections of all frames.
 
     Particles count from 0 by first appearance, then by position; -1 stands for detections of no track. `diameter` is
     that of balls that are seen whole, px; without it the detections are glints.
     """
     settings = settings or LinkSettings()
-    ids = np.full(len(glints), -1, dtype=np.int64)
+    links = Links.none(len(glints))
     if len(glints) == 0:
-        return ids
-    tracks = _follow(glints, _expect_motion(glints, camera, diameter, settings), settings.max_gap_frames)
+        return links
+    followed = _follow(glints, _expect_motion(glints, camera, diameter, settings), settings.max_gap_frames)
     least = settings.min_track_frames if diameter else 1
-    for number, rows in enumerate(_keep_ball_tracks(tracks, glints, camera, least, settings)):
-        ids[rows] = number
-    return ids
+    for number, rows in enumerate(_keep_ball_tracks(followed.tracks, glints, camera, least, settings)):
+        links.ids[rows] = number
+    for frame, *pair in followed.doubts.tolist():
+        later = [followed.tracks[number][glints.frame[followed.tracks[number]] >= frame] for number in pair]
+        if all(len(rows) and links.ids[rows[0]] >= 0 for rows in later):
+            links.doubtful[[rows[0] for rows in later]] = True
+    return links
 
 
 def estimate_velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
@@ -129,12 +156,20 @@ def estimate_velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
     return out
 
 
-def _follow(glints: Glints, noise: MotionNoise, max_gap_frames: int) -> list[Ints]:
-    """The rows of each track, those of false detections included."""
+@dataclass(frozen=True, eq=False)
+class _FollowedBalls:
+    """Tracks before false ones are dropped."""
+
+    tracks: list[Ints]  # the rows of each, by frame
+    doubts: Ints  # (d, 3): a frame, and two tracks that may have exchanged their balls there
+
+
+def _follow(glints: Glints, noise: MotionNoise, max_gap_frames: int) -> _FollowedBalls:
+    """Follow all that is detected, false detections included."""
     order = np.argsort(glints.frame, kind="stable")
     frames, starts = np.unique(glints.frame[order], return_index=True)
     parts, xy = np.split(order, starts[1:]), glints.xy
-    track = np.empty(len(glints), dtype=np.int64)
+    track, doubts = np.empty(len(glints), dtype=np.int64), [np.empty((0, 3), dtype=np.int64)]
     first = len(parts[0])
     track[parts[0]] = np.arange(first)
     numbers: list[int] = frames.tolist()
@@ -151,14 +186,17 @@ def _follow(glints: Glints, noise: MotionNoise, max_gap_frames: int) -> list[Int
             continue
         rows = parts[k]
         coming = (xy[parts[k + 1]], numbers[k + 1] - frame) if k + 1 < len(numbers) else None
-        live, own = link_frame(live, xy[rows], frame - numbers[k - 1], frame, coming, noise)
+        linked = link_frame(live, xy[rows], frame - numbers[k - 1], frame, coming, noise)
+        live, own = linked.balls, linked.track
+        doubts.append(np.insert(linked.doubts, 0, frame, axis=1))
         new = np.flatnonzero(own < 0)
         if len(new):
             own[new] = count + np.arange(len(new))
             live = PredictedBalls.join([live, PredictedBalls.start(own[new], frame, xy[rows[new]], noise)])
         track[rows], count, k = own, count + len(new), k + 1
     ordered = np.lexsort((glints.frame, track))
-    return np.split(ordered, np.flatnonzero(np.diff(track[ordered])) + 1)
+    tracks = np.split(ordered, np.flatnonzero(np.diff(track[ordered])) + 1)
+    return _FollowedBalls(tracks, np.concatenate(doubts))
 
 
 def find_reach(camera: Camera, settings: LinkSettings) -> float:
@@ -177,50 +215,20 @@ def _expect_motion(glints: Glints, camera: Camera, seen_whole: float | None, set
     errors = np.sqrt(np.trace(glints.cov, axis1=1, axis2=2) / 2)
     error = float(np.median(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else 0.0
     push = max_acceleration_m_s2 / camera.fps**2 / camera.scale if camera.metric else 0.0
-    position = max(error, min_error_px)
+    shown = measure_motion(glints, max(error, min_error_px))
+    bounds = *glints.xy.min(axis=0).tolist(), *glints.xy.max(axis=0).tolist()
     return MotionNoise(
         diameter=diameter,
         reach=max(reach, (2.0 if seen_whole is None else settings.max_step_diameters) * diameter),
-        position=position,
-        acceleration=max(push, min_error_px, measure_acceleration(glints, position)),
+        position=shown.position_error,
+        acceleration=max(push, min_error_px, shown.acceleration),
+        fall=shown.fall,
+        bounds=bounds if seen_whole else UNBOUNDED,  # false glints are too many for that
+        hidden_hits=seen_whole is not None,
         tolerance=settings.speed_tolerance if seen_whole is None else 1.0,
         restitution=settings.restitution,
         false_density=1.0 / float(np.prod(camera.size)),
     )
-
-
-def measure_acceleration(glints: Glints, position_error: float) -> float:
-    """Measure the typical change of a velocity from frame to frame along an axis, px per frame^2; 0 where it is small.
-
-    Shaken, driven or magnetic bodies turn between hits, and an encoder moves positions by more than their errors. The
-    change is that of steps which nobody can mistake: both are to the nearest detection, and the next one is much
-    farther. The part that errors of positions explain is subtracted.
-    """
-    least_frames, most_frames, enough_positions = 8, 40, 4000  # many bodies in few frames show as much
-    least_steps, least_bodies = 30, 3
-    clear_share = 0.3  # of the distance to the second nearest detection, which such a step has at most
-    seen, xy, turns = np.unique(glints.frame), glints.xy, [np.empty((0, 2))]
-    wanted = min(max(least_frames, enough_positions * len(seen) // max(len(glints), 1)), most_frames)
-    for frame in pick_spread(seen[:-2].tolist(), wanted) if len(seen) > 2 else []:
-        here, there, then = (xy[glints.frame == frame + later] for later in range(3))
-        if min(len(here), len(there), len(then)) >= least_bodies:
-            first, second = _find_clear_steps(here, there, clear_share), _find_clear_steps(there, then, clear_share)
-            rows = np.flatnonzero((first >= 0) & (second[first] >= 0))
-            middle = first[rows]
-            turns.append(then[second[middle]] - 2 * there[middle] + here[rows])
-    changes = np.concatenate(turns).ravel()
-    if len(changes) < 2 * least_steps:
-        return 0.0
-    spread = 1.4826 * float(np.median(np.abs(changes)))
-    return float(np.sqrt(max(spread**2 - 6 * position_error**2, 0.0)))
-
-
-def _find_clear_steps(start: Array, end: Array, clear_share: float) -> Ints:
-    """The detection (n,) of the next frame to which each leads beyond doubt, or -1."""
-    away, to = (np.asarray(values) for values in cKDTree(end).query(start, k=2))
-    back = np.asarray(cKDTree(start).query(end)[1])
-    clear = (back[to[:, 0]] == np.arange(len(start))) & (away[:, 0] < clear_share * away[:, 1])
-    return np.where(clear, to[:, 0], -1)
 
 
 def _keep_ball_tracks(

@@ -9,32 +9,26 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from synthcam_shared.arrays import Array
 from tracker.camera.frames import spread_frames
 from tracker.detection.background.windows import PixelRegion, find_regions
 from tracker.detection.candidates import estimate_pixel_noise, median_of_nine
-from tracker.measurement.collision.adequacy import CROWD, MEASURED, NO_SCALE, ONE_BALL
+from tracker.measurement.collision.adequacy import CROWD, MEASURED, MISFIT, NO_SCALE, ONE_BALL
 from tracker.notes import Note, NoteKind
-
-if TYPE_CHECKING:
-    from tracker.camera.frames import Frames
-    from tracker.camera.recordings import Recording
-    from tracker.detection.link import Tracks
-from typing import TYPE_CHECKING
-
-import pandas as pd
-
-from tracker.measurement.collision.adequacy import MISFIT
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
     from tracker.camera.frames import Frames
+    from tracker.camera.recordings import Recording
+    from tracker.detection.glints import Glints
     from tracker.detection.link import Tracks
 
 
 MISFITS = "misfit.png"  # beside the tracks of a clip
+UNFOLLOWED = "found, but its steps are those of no ball"
 REFUSALS = "refused.png"  # beside the tracks of a clip, and beside its page
 
 
@@ -52,17 +46,23 @@ def is_refused_clip(tracks: Tracks, rows: Sequence[Mapping[str, Any]]) -> bool:
     return len(tracks) == 0 or not any(state in (*MEASURED, CROWD, NO_SCALE, ONE_BALL) for state in states)
 
 
-def draw_refusals(clip: Recording, tracks: Tracks, *, min_area_px: int = 28, max_things: int = 12) -> NotedPicture:
-    """Draw the frame, of nine that are spread over the film, in which most things are refused; name the largest."""
+def draw_refusals(
+    clip: Recording, tracks: Tracks, detected: Glints | None = None, *, min_area_px: int = 28, max_things: int = 12
+) -> NotedPicture:
+    """Draw the frame, of nine that are spread over the film, in which most objects are refused; name the largest.
+
+    detected: what the detector found, also what belongs to no track.
+    """
     picks = sorted({*spread_frames(clip.frames)})
     sample = [np.asarray(clip.frames[k]) for k in spread_frames(clip.frames)]
     least = max(8.0 * estimate_pixel_noise(sample), 8.0)
     level: Any = median_of_nine([picture.copy() for picture in sample])
+    unfollowed = _list_unfollowed(tracks, detected)
     shots = {}
     for k in picks:
         frame: Any = np.asarray(clip.frames[k])
         regions = find_regions(cv2.absdiff(frame, level) > least, min_area_px - 1)[:max_things]
-        shots[k] = [(region, _explain(region, clip, tracks, k, frame, level)) for region in regions]
+        shots[k] = [(region, _explain(region, clip, tracks, unfollowed, k, frame, level)) for region in regions]
     shown = max(picks, key=lambda k: (sum(bool(why) for _, why in shots[k]), len(shots[k])))
     number = int(clip.frames.numbers[shown])
     balls = tracks.xy[tracks.frame == number]
@@ -74,23 +74,45 @@ def draw_refusals(clip: Recording, tracks: Tracks, *, min_area_px: int = 28, max
         advice = f"--ball X,Y@{number} points at a ball that is missed, --region and --mask exclude what is none"
     else:
         advice = f"nothing in it differs from other frames by {least:.0f} counts; --ball X,Y@{number} points at a ball"
-    counts = f"{len(balls)} balls found, {len(refused)} things refused{reasons}"
+    counts = f"{_count(len(balls), 'ball')} followed, {_count(len(refused), 'object')} refused{reasons}"
     text = f"{REFUSALS} shows frame {number}: {counts}; {advice}"
     return NotedPicture(
         cv2.imencode(".png", picture[..., ::-1])[1].tobytes(), Note(NoteKind.DETECTOR, text, clip.number)
     )
 
 
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def _list_unfollowed(tracks: Tracks, detected: Glints | None) -> Array:
+    """Detections (n, 3) that belong to no track: frame, x and y."""
+    if detected is None or not len(detected):
+        return np.empty((0, 3))
+    followed = {*zip(tracks.frame.tolist(), tracks.glint_x.tolist(), tracks.glint_y.tolist(), strict=True)}
+    places = zip(detected.frame.tolist(), detected.x.tolist(), detected.y.tolist(), strict=True)
+    return np.array([place for place in places if place not in followed]).reshape(-1, 3)
+
+
 def _explain(
-    region: PixelRegion, clip: Recording, tracks: Tracks, k: int, frame: NDArray[Any], level: NDArray[Any]
+    region: PixelRegion,
+    clip: Recording,
+    tracks: Tracks,
+    unfollowed: Array,
+    k: int,
+    frame: NDArray[Any],
+    level: NDArray[Any],
 ) -> str:
-    """Why a region that differs from the background is no ball; '' where one was found in it."""
+    """Why a region that differs from the background is no ball that is followed; '' where one is."""
     rows, columns = np.nonzero(region.own)
     x, y = region.left + columns.mean(), region.top + rows.mean()
     reach = max(region.own.shape) / 2 + 2
-    balls = tracks.xy[tracks.frame == clip.frames.numbers[k]]
-    if len(balls) and np.hypot(*(balls - [x, y]).T).min() < reach:
+    number = clip.frames.numbers[k]
+    balls = tracks.xy[tracks.frame == number]
+    if _is_near(balls, (x, y), reach):
         return ""
+    if _is_near(unfollowed[unfollowed[:, 0] == number, 1:], (x, y), reach):
+        return UNFOLLOWED
     if clip.area is not None and not clip.area[int(y), int(x)]:
         return "outside the region"
     if region.touches_rim(frame.shape):
@@ -103,6 +125,10 @@ def _explain(
         return "too small" if radius < usual else "too large"
     darker = np.subtract(frame[region.at], level[region.at], dtype=np.float32)[region.own].mean() < 0
     return "darker than the ground" if darker else "not followed: too few frames, or no sharp outline"
+
+
+def _is_near(places: Array, point: tuple[float, float], reach: float) -> bool:
+    return len(places) > 0 and bool(np.hypot(*(places - point).T).min() < reach)
 
 
 def paint_frame(frames: Frames, k: int) -> NDArray[np.uint8]:

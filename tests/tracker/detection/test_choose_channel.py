@@ -67,6 +67,16 @@ def test_a_plane_that_shows_more_balls_wins_unless_they_come_and_go(monkeypatch,
     assert choose_channel(wrap_frames(cloth(apart(9), (WHITE, WHITE))), Camera.from_dict(CAMERA))[0] == best
 
 
+def test_many_bodies_among_much_more_that_changes_are_noise(monkeypatch):
+    """The ratings of an interlaced film of one small ball: its noise of colour has 143 specks of one size."""
+    ratings = iter([choose._Rating(7, 0.01, 4), *[choose._Rating(4, 0.1, 2)] * 6, choose._Rating(143, 0.093, 42)])
+    monkeypatch.setattr(choose, "_rate_plane", lambda *_: next(ratings))
+    channel, note = choose_channel(wrap_frames(cloth(apart(9), (WHITE, WHITE))), Camera.from_dict(CAMERA))
+    assert channel == "grey"
+    assert "colour shows 143 round bodies (9 % of what changes), which noise does too" in note
+    assert note.endswith("--channel, --colour or --ball X,Y@FRAME say how the balls show")
+
+
 @pytest.mark.parametrize(("pictures", "name", "said"), [
     (np.zeros((5, 40, 40), np.uint8), "red", "channel: the film is in grey, expected no 'red'"),
     (np.zeros((5, 40, 40, 3), np.uint8), "mauve", "channel: expected one of grey, red, green, blue, .*, not 'mauve'"),

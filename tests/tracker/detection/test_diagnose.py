@@ -14,6 +14,7 @@ from tracker.detection.diagnose import (
     count_loose_ends,
     describe_other_specks,
     measure_camera_motion,
+    warn_of_exchanges,
     warn_of_moving_camera,
 )
 from tracker.detection.link import Tracks
@@ -162,3 +163,13 @@ def test_a_ball_that_is_found_but_jumps_about_is_not_called_unseen():
         tracked.reason
         == "no path: 30 frames show what may be a ball, but its steps from frame to frame are those of no ball"
     )
+
+
+def test_balls_that_may_have_exchanged_numbers_are_named():
+    frame, particle = np.array([4, 5, 9, 5, 9]), np.array([0, 0, 0, 3, 3])
+    zero, words = np.zeros(5), np.array(["", "shaded|exchange", "", "exchange", ""])
+    tracks = Tracks(frame, particle, zero, zero, np.tile(np.eye(2), (5, 1, 1)), zero, words, zero, zero)
+    (warning,) = warn_of_exchanges(tracks)
+    assert warning.startswith("balls may have exchanged their numbers in 1 frame, ")
+    assert ": 0 and 3 in frame 5 (exchange in column flags of tracks)" in warning
+    assert warn_of_exchanges(tracks.take([0, 2])) == ()

@@ -1,5 +1,7 @@
 """The picture of a film that failed: what was found and refused in one frame, each with its reason."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from tracker_discs import SIZE, disc
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.camera.recordings import Recording
+from tracker.detection.glints import Glints
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import NO_SCALE, ONE_BALL
 from tracker.report.refusals import REFUSALS, draw_refusals, is_refused_clip
@@ -42,11 +45,20 @@ def clip(shape, light=200.0, area=None):
 def test_each_refused_thing_has_its_reason(film, reason):
     drawn = draw_refusals(film, NO_TRACKS)
     assert f"{reason})" in str(drawn.note) or f"1 {reason}" in str(drawn.note)
-    assert "0 balls found" in str(drawn.note)
+    count = 2 if reason == "not round" else 1  # the bar, and the ground that it uncovers
+    assert f"0 balls followed, {count} object{'s' * (count > 1)} refused" in str(drawn.note)
     assert "--ball X,Y@" in str(drawn.note)
     picture = cv2.imdecode(np.frombuffer(drawn.png, np.uint8), cv2.IMREAD_COLOR)
     assert picture.shape == (640, 800, 3)
     assert (np.abs(picture.astype(int) - (60, 80, 255)).sum(axis=2) < 40).sum() > 50  # a red box
+
+
+def test_what_was_found_and_not_followed_is_not_refused_for_its_shape():
+    """The status of a film without a path counts its detections: the picture of it must not deny them."""
+    film = clip(lambda k: disc((30 + 15 * k, 0), 9))
+    found = Glints.at(30.0 + 15 * np.arange(9), np.zeros(9), 0.1)
+    note = str(draw_refusals(film, NO_TRACKS, replace(found, frame=np.arange(9))).note)
+    assert "0 balls followed, 1 object refused (1 found, but its steps are those of no ball)" in note
 
 
 def test_a_film_in_which_nothing_differs_says_so():

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from synthcam_shared.arrays import Array, Ints
-from tracker.detection.motion_filter import (
+from tracker.detection.following.motion_filter import (
     MAX_BALLS_FOR_ALL_PAIRS,
     MAX_SIGMA_OF_OWN,
     MotionNoise,
@@ -31,24 +31,48 @@ class _Step:
     free: PredictedBalls  # the same in the later frame, if nothing hits them
     found: Array  # (m, 2): positions in the later frame
     frames: int  # from one to the other
+    frame: int  # the later one
     noise: MotionNoise
+
+    @property
+    def unhit_frames(self) -> Ints:
+        """How many frames ago each ball (n,) was surely on its way."""
+        return self.frame - self.before.seen if self.noise.hidden_hits else np.full(len(self.before), self.frames)
+
+    @property
+    def unhit_xy(self) -> Array:
+        """Where each ball (n, 2) then was."""
+        return self.before.last if self.noise.hidden_hits else self.before.xy
+
+
+@dataclass(frozen=True, eq=False)
+class LinkedFrame:
+    """The balls of a frame, and the detections that are theirs."""
+
+    balls: PredictedBalls  # one that is not found is where it was predicted
+    track: Ints  # (m,) number of each detection, or -1
+    doubts: Ints  # (d, 2) numbers of balls that may have exchanged their tracks in this frame
+
+
+_NO_DOUBTS = np.empty((0, 2), dtype=np.int64)
 
 
 def link_frame(
     before: PredictedBalls, found: Array, frames: int, frame: int, coming: Coming | None, noise: MotionNoise
-) -> tuple[PredictedBalls, Ints]:
-    """Assign the detections of a frame to balls: the balls in that frame, and the track (m,) of each detection, or -1.
+) -> LinkedFrame:
+    """Assign the detections of a frame to balls.
 
-    before: the balls some `frames` earlier. found: positions (m, 2). A ball not found is where it was predicted.
+    before: the balls some `frames` earlier. found: positions (m, 2).
     """
     own = np.full(len(found), -1, dtype=np.int64)
     if not len(before):
-        return before, own
-    step = _Step(before, before.advance(frames, noise), found, frames, noise)
+        return LinkedFrame(before, own, _NO_DOUBTS)
+    step = _Step(before, before.advance(frames, noise), found, frames, frame, noise)
     pairs = find_near_balls(before, frames, noise)
     if not len(pairs[0]) and (plain := _match_plainly(step)) is not None:
         own[plain] = before.number
-        return _update(step, None, (np.arange(len(before)), plain, np.full(len(before), -1)), frame), own
+        links = np.arange(len(before)), plain, np.full(len(before), -1)
+        return LinkedFrame(_update(step, None, links, frame), own, _NO_DOUBTS)
     hits = predict_hits(before, step.free, pairs, frames, noise)
     near = _find_near(step)
     gain, kind = _weigh(step, hits, near)
@@ -57,7 +81,8 @@ def link_frame(
     ball, column = _uncross(step, near, gain, *_assign(gain, near, len(found)))
     seen = near[ball, column]
     own[seen] = before.number[ball]
-    return _update(step, hits, (ball, seen, kind[ball, column]), frame), own
+    doubts = before.number[_find_doubts(step, near, gain, ball, column)]
+    return LinkedFrame(_update(step, hits, (ball, seen, kind[ball, column]), frame), own, doubts)
 
 
 def _match_plainly(step: _Step) -> Ints | None:
@@ -93,14 +118,17 @@ def _weigh(step: _Step, hits: PredictedHits, near: Ints) -> tuple[Array, Ints]:
     np.multiply.at(meets, hits.ball, 1 - hits.chance)
     alone = np.log(np.maximum(meets, noise.least_free))
     off = ((there - free.xy[:, None]) ** 2).sum(axis=2)
-    best = alone[:, None] + _log_density(off, free.cov[:, 0] + noise.position**2)
+    variance = free.cov[:, 0] + noise.position**2
+    variance[~old] = np.minimum(variance[~old], 1 / (2 * np.pi * noise.false_density))  # it is seen in the picture
+    best = alone[:, None] + _log_density(off, variance)
     best[~old] = np.where(off[~old] < (noise.reach * frames) ** 2, best[~old] + noise.log_new, -np.inf)
     total, kind = best, np.full(near.shape, -1)
-    speed = np.hypot(*before.v.T) * frames
-    lost = 0.6 * noise.diameter * frames + noise.tolerance * speed
-    way = ((there - before.xy[:, None]) ** 2).sum(axis=2)
-    around = (off < lost[:, None] ** 2) | (way < (0.3 * noise.diameter * frames + speed)[:, None] ** 2)
-    level = np.log(noise.unseen_hits / (np.pi * np.maximum(lost, speed) ** 2))
+    unhit_for = step.unhit_frames
+    speed = np.hypot(*before.v.T) * unhit_for
+    lost = 0.6 * noise.diameter * unhit_for + noise.tolerance * speed
+    way = ((there - step.unhit_xy[:, None]) ** 2).sum(axis=2)
+    around = (off < lost[:, None] ** 2) | (way < (0.3 * noise.diameter * unhit_for + speed)[:, None] ** 2)
+    level = np.log(noise.unseen_hits * unhit_for / (np.pi * np.maximum(lost, speed) ** 2))
     unseen = np.where(around & old[:, None], level[:, None], -np.inf)
     kind[unseen > total] = -2
     total, best = np.logaddexp(total, unseen), np.maximum(best, unseen)
@@ -130,8 +158,9 @@ def _confirm(step: _Step, near: Ints, gain: Array, following: Array, later: int)
         return
     there = step.found[near[i, k]]
     speed = (there - step.before.xy[i]) / step.frames
-    apart = cKDTree(following).query(there + speed * later)[0] if len(following) else np.full(len(i), np.inf)
-    least = 3 * step.noise.position + step.noise.acceleration
+    fall = np.array(step.noise.fall) * (later * (step.frames + later) / 2)
+    apart = cKDTree(following).query(there + speed * later + fall)[0] if len(following) else np.full(len(i), np.inf)
+    least = 3 * step.noise.position + step.noise.acceleration * (later * (step.frames + later) / 2)
     wide = least + step.noise.bend * np.hypot(*speed.T)
     gain[i, k] += np.log(unconfirmed + (least / wide) ** 2 * np.exp(-((apart / wide) ** 2) / 2))
 
@@ -160,6 +189,27 @@ def _assign(gain: Array, near: Ints, found: int) -> tuple[Ints, Ints]:
             out.append(np.column_stack([rows[i[good]], at[i[good], j[good]]]))
     pairs = np.concatenate(out)
     return pairs[:, 0], pairs[:, 1]
+
+
+def _find_doubts(step: _Step, near: Ints, gain: Array, ball: Ints, column: Ints) -> Ints:
+    """Pairs (d, 2) of balls whose links, exchanged, would be nearly as likely.
+
+    The first of a pair has a detection that the second, with one of its own or without, may have left in its place.
+    Balls that were seen once before have no past to confuse. Links are balls, and their columns of `near`.
+    """
+    nearly = np.log(100.0)  # the odds of the links over those of the exchange, below which there is doubt
+    owner, mine = np.full(len(step.found) + 1, -1), np.full(len(gain), -1)
+    value = np.zeros(len(gain))
+    owner[near[ball, column]], mine[ball], value[ball] = ball, near[ball, column], gain[ball, column]
+    old = step.before.count > 1
+    other, k = np.nonzero(np.isfinite(gain) & old[:, None] & (owner[near] >= 0))
+    one, instead = owner[near[other, k]], gain[other, k]
+    rival = (one != other) & old[one]
+    one, other, instead = one[rival], other[rival], instead[rival]
+    swapped = np.where((near[one] == mine[other][:, None]) & (mine[other] >= 0)[:, None], gain[one], 0.0)
+    back = np.maximum(swapped.max(axis=1, initial=0.0), 0.0)
+    doubtful = value[one] + value[other] - instead - back < nearly
+    return np.unique(np.column_stack([one, other])[doubtful], axis=0)
 
 
 def _uncross(step: _Step, near: Ints, gain: Array, ball: Ints, column: Ints) -> tuple[Ints, Ints]:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from synthcam_shared.arrays import Array, Ints
-from tracker.detection.motion_filter import MAX_SIGMA_OF_OWN, MotionNoise, PredictedBalls
+from tracker.detection.following.motion_filter import MAX_SIGMA_OF_OWN, MotionNoise, PredictedBalls
 
 MAX_FEW_BALLS = 6  # beyond, arrays are as fast
 
@@ -34,7 +34,9 @@ class _State(NamedTuple):
         x, y, vx, vy, xx, xv, vv = self
         push = noise.acceleration**2 + noise.bend**2 * (vx * vx + vy * vy)
         wide = xx + 2 * t * xv + t * t * vv + push * t**4 / 4
-        return _State(x + t * vx, y + t * vy, vx, vy, wide, xv + t * vv + push * t**3 / 2, vv + push * t * t)
+        right, down = noise.fall[0] * t, noise.fall[1] * t
+        x, y, vx, vy = x + t * vx + right * (t / 2), y + t * vy + down * (t / 2), vx + right, vy + down
+        return _State(x, y, vx, vy, wide, xv + t * vv + push * t**3 / 2, vv + push * t * t)
 
     def correct(self, at: Sequence[float], noise: MotionNoise) -> "_State":
         """The state after a detection."""
@@ -92,8 +94,13 @@ def follow_apart(
         own = None
         if meeting is _Meeting.APART and len(found) == len(states) and min(counts) > 1:
             own = _match(ahead, found, noise)
+        if own is None and any(_is_outside(state, noise) for state in ahead):
+            break  # at a wall, perhaps
         if own is None:
-            own = _match_surely(states, ahead, counts, found, step, noise)
+            unhit = [(step, (state.x, state.y)) for state in states]
+            if noise.hidden_hits:
+                unhit = [(frames[k] - each, at) for each, at in zip(seen, last, strict=True)]
+            own = _match_surely(states, ahead, counts, unhit, found, step, noise)
         if own is None:
             break
         states = list[_State]()
@@ -117,6 +124,12 @@ def follow_apart(
         cov=now[:, 4:],
     )
     return followed, rows
+
+
+def _is_outside(state: _State, noise: MotionNoise) -> bool:
+    """True beyond what balls ever reach."""
+    left, top, right, bottom = noise.bounds
+    return not (left <= state.x <= right and top <= state.y <= bottom)
 
 
 def _predict_meeting(states: Sequence[_State], counts: Sequence[int], step: int, noise: MotionNoise) -> _Meeting:
@@ -150,6 +163,7 @@ def _match_surely(
     states: Sequence[_State],
     ahead: Sequence[_State],
     counts: Sequence[int],
+    unhit: Sequence[tuple[int, Sequence[float]]],
     found: Sequence[Sequence[float]],
     step: int,
     noise: MotionNoise,
@@ -157,22 +171,23 @@ def _match_surely(
     """The detection of each ball, or -1, where the likelihoods of `assignment` leave no choice; None otherwise.
 
     That is so if each detection has a gain with one ball only, which came freely, and no ball has two of them. A bound
-    on each gain decides; in doubt there is a choice. No ball meets another.
+    on each gain decides; in doubt there is a choice. No ball meets another. unhit: how many frames ago each ball was
+    surely on its way, and where.
     """
     rounding, doubt = 1 + 1e-9, 1e-6  # of squares, and of logarithms
     base, own, taken = noise.log_seen - log(noise.false_density), [-1] * len(states), set[int]()
-    for i, (before, state, count) in enumerate(zip(states, ahead, counts, strict=True)):
-        variance, speed = state.xx + noise.position**2, hypot(before.vx, before.vy) * step
-        lost = 0.6 * noise.diameter * step + noise.tolerance * speed
-        back = 0.3 * noise.diameter * step + speed
-        hit_by_unseen = log(noise.unseen_hits / (pi * max(lost, speed) ** 2))
+    for i, (before, state, count, (unhit_for, start)) in enumerate(zip(states, ahead, counts, unhit, strict=True)):
+        variance, speed = state.xx + noise.position**2, hypot(before.vx, before.vy) * unhit_for
+        lost = 0.6 * noise.diameter * unhit_for + noise.tolerance * speed
+        back = 0.3 * noise.diameter * unhit_for + speed
+        hit_by_unseen = log(noise.unseen_hits * unhit_for / (pi * max(lost, speed) ** 2))
         for at, (x, y) in enumerate(found):
             off = (x - state.x) ** 2 + (y - state.y) ** 2
             if count < 2:  # seen once, it may go anywhere within reach
                 if off < rounding * (noise.reach * step) ** 2:
                     return None
                 continue
-            way = (x - before.x) ** 2 + (y - before.y) ** 2
+            way = (x - start[0]) ** 2 + (y - start[1]) ** 2
             free, unseen = -log(2 * pi * variance) - off / (2 * variance), -inf
             if off < rounding * lost**2 or way < rounding * back**2:
                 unseen = hit_by_unseen

@@ -8,11 +8,11 @@ from tracker_film import CAMERA, collision
 
 from tracker.camera.camera import Camera
 from tracker.detection import link
-from tracker.detection.assignment import link_frame
-from tracker.detection.few_balls import MAX_FEW_BALLS, follow_apart
+from tracker.detection.following.assignment import link_frame
+from tracker.detection.following.few_balls import MAX_FEW_BALLS, follow_apart
+from tracker.detection.following.motion_filter import MotionNoise, PredictedBalls
 from tracker.detection.glints import Glints
 from tracker.detection.link import assign_track_numbers
-from tracker.detection.motion_filter import MotionNoise, PredictedBalls
 
 NOISE = MotionNoise(
     diameter=15.0, reach=12.0, position=0.05, acceleration=0.05, tolerance=0.1, restitution=0.9, false_density=3e-6
@@ -36,7 +36,7 @@ def seen_twice(xy, parts, frames):
     """The balls after two frames."""
     live = PredictedBalls.start(np.arange(len(parts[0])), frames[0], xy[parts[0]], NOISE)
     step = frames[1] - frames[0]
-    return link_frame(live, xy[parts[1]], step, frames[1], (xy[parts[2]], frames[2] - frames[1]), NOISE)[0]
+    return link_frame(live, xy[parts[1]], step, frames[1], (xy[parts[2]], frames[2] - frames[1]), NOISE).balls
 
 
 def follow(xy, parts, frames, live):
@@ -47,8 +47,9 @@ def compare(xy, parts, frames, live):
     """Follow by likelihoods too: the same states and links to the last bit. Returns how many frames were followed."""
     quick, rows = follow(xy, parts, frames, live)
     for k, own in enumerate(rows, 2):
-        live, tracks = link_frame(live, xy[parts[k]], frames[k] - frames[k - 1], frames[k], None, NOISE)
-        expected = dict(zip(tracks.tolist(), parts[k].tolist(), strict=True))
+        linked = link_frame(live, xy[parts[k]], frames[k] - frames[k - 1], frames[k], None, NOISE)
+        live = linked.balls
+        expected = dict(zip(linked.track.tolist(), parts[k].tolist(), strict=True))
         assert own.tolist() == [expected.get(number, -1) for number in live.number.tolist()]
     for column in fields(live):
         assert np.array_equal(getattr(quick, column.name), getattr(live, column.name)), column.name
@@ -72,6 +73,15 @@ def test_balls_that_are_not_found_are_followed_as_by_the_likelihoods(count):
         parts = [part[: rng.integers(1, count + 1)] if k > 2 else part for k, part in enumerate(parts)]
         followed += compare(xy, parts, frames, live)
     assert followed > 20 * 4
+
+
+def test_hidden_hits_and_a_common_fall_are_followed_as_by_the_likelihoods(monkeypatch):
+    """As balls seen whole have them, near the bounds of what balls reach."""
+    bounds = (-150.0, -80.0, 60.0 * MAX_FEW_BALLS, 80.0)
+    falling = replace(NOISE, fall=(0.003, -0.002), hidden_hits=True, bounds=bounds)
+    monkeypatch.setitem(globals(), "NOISE", falling)
+    test_balls_that_are_not_found_are_followed_as_by_the_likelihoods(3)
+    test_what_is_followed_in_doubt_is_what_the_likelihoods_say()
 
 
 def test_balls_that_part_are_followed_as_by_the_likelihoods():

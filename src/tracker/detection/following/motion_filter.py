@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from math import inf
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -23,6 +24,7 @@ from synthcam_shared.arrays import Array, Ints
 from tracker.detection.glints import RowArrays
 
 MAX_BALLS_FOR_ALL_PAIRS = 48  # balls, up to which all pairs are looked at
+UNBOUNDED = (-inf, -inf, inf, inf)
 MAX_SIGMA_OF_OWN = 3.0  # standard errors along an axis, within which a detection is surely the ball's own
 
 
@@ -37,10 +39,15 @@ class MotionNoise:
     tolerance: float  # how far off a prediction a ball may be, as a share of the distance moved in a frame
     restitution: float
     false_density: float  # false detections and balls that appear, per px^2 and frame
+    fall: tuple[float, float] = (0.0, 0.0)  # acceleration that all balls have, px per frame^2
+    bounds: tuple[float, float, float, float] = UNBOUNDED
+    """Left, top, right and bottom of what balls ever reach, px: there may be walls."""
     bend: float = 0.03  # change of a velocity in a frame, as a share of it
     hit: float = 0.15  # error of the velocity after a hit, over that of the approach
     distance: float = 0.04  # error of the distance at which balls meet, diameters
     unseen_hits: float = 0.01  # probability in a frame of a hit by something unseen
+    hidden_hits: bool = False  # whether a ball that is not seen may be hit meanwhile, not only as it is seen again
+    wall: float = 0.6  # probability that a ball whose path leads beyond the bounds meets a wall there
     least_free: float = 1e-3  # probability that balls whose paths overlap do not meet
     log_seen: float = 3.0  # logarithm of the odds that a ball is seen
     log_new: float = -1.0  # of the odds that a detection without a past is a ball
@@ -73,12 +80,14 @@ class PredictedBalls(RowArrays):
         cov[:, 0] = xx + 2 * t * xv + t * t * vv + push * t**4 / 4
         cov[:, 1] = xv + t * vv + push * t**3 / 2
         cov[:, 2] = vv + push * t * t
-        return PredictedBalls(self.number, self.seen, self.count, self.last, self.xy + t * self.v, self.v, cov)
+        fall = np.array(noise.fall) * t
+        xy, v = self.xy + t * self.v + fall * (t / 2), self.v + fall
+        return PredictedBalls(self.number, self.seen, self.count, self.last, xy, v, cov)
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedHits:
-    """Two balls each that may meet before a frame: a row for either, with its state after the hit."""
+class PredictedHits(RowArrays):
+    """Hits that may happen before a frame, of two balls or of one and a wall: a row for each ball, after the hit."""
 
     ball: Ints  # (h,) index
     chance: Array  # (h,)
@@ -90,7 +99,32 @@ class PredictedHits:
 def predict_hits(
     before: PredictedBalls, after: PredictedBalls, pairs: tuple[Ints, Ints], frames: int, noise: MotionNoise
 ) -> PredictedHits:
-    """Predict the hits of pairs of balls, from their states in the last frame and in the next, if they do not meet."""
+    """Predict the hits of balls, from their states in the last frame and in the next, if they meet nothing."""
+    return PredictedHits.join([_predict_pair_hits(before, after, pairs, frames, noise), _predict_bounces(after, noise)])
+
+
+def _predict_bounces(after: PredictedBalls, noise: MotionNoise) -> PredictedHits:
+    """Predict that balls bounce off a wall at the bounds of what balls ever reach, along each axis."""
+    restitution, spread_share = 0.8, 0.25  # of walls; error of the way and of the velocity back, over these
+    bounds, rows = np.array(noise.bounds).reshape(2, 2), list[PredictedHits]()
+    for axis, side in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        outward = 2.0 * side - 1.0
+        beyond, speed = outward * (after.xy[:, axis] - bounds[side, axis]), outward * after.v[:, axis]
+        ball = np.flatnonzero((after.count > 1) & (speed > 0) & (beyond > 0))
+        xy, v = after.xy[ball], after.v[ball]
+        xy[:, axis] = bounds[side, axis] - outward * restitution * beyond[ball]
+        v[:, axis] = -outward * restitution * speed[ball]
+        far = spread_share * (beyond[ball] + speed[ball]) + noise.distance * noise.diameter
+        change = spread_share * speed[ball]
+        wider = np.column_stack([far**2, 0 * far, change**2])
+        rows.append(PredictedHits(ball, np.full(len(ball), noise.wall), xy, v, after.cov[ball] + wider))
+    return PredictedHits.join(rows)
+
+
+def _predict_pair_hits(
+    before: PredictedBalls, after: PredictedBalls, pairs: tuple[Ints, Ints], frames: int, noise: MotionNoise
+) -> PredictedHits:
+    """Predict the hits of pairs of balls."""
     i, j = pairs
     apart, speed = before.xy[j] - before.xy[i], before.v[j] - before.v[i]
     closing, square = (apart * speed).sum(axis=1), (speed**2).sum(axis=1)
