@@ -110,7 +110,8 @@ def fit_with_scatter(clips):
     return scatter, clips, fit_base_model(clips, ON_AIR, CLAIMED_NOISE)
 
 
-@pytest.mark.parametrize("power", [0, pytest.param(2, marks=pytest.mark.gate)])
+@pytest.mark.gate
+@pytest.mark.parametrize("power", [0, 2])
 def test_accelerations_on_air_are_found_and_how_they_grow_with_the_speed(power):
     found, _, fit = fit_with_scatter(glide(3, power=power))
     size = (found.speed_m_s / 0.35) ** power

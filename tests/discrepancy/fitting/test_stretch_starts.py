@@ -49,6 +49,7 @@ def test_a_fit_of_launches_leaves_the_minimum_of_balls_that_roll_from_the_start(
     assert chi2_of_worst(fit_launches(cut, Model(), CLAIMED_NOISE)) < 2
 
 
+@pytest.mark.gate
 def test_a_fit_of_launches_soon_ends_where_the_model_is_hopeless(monkeypatch):
     """A friction four times too large: half of the steps lead as far, to 2000 chi^2 per point."""
     wrong, cut = Model().replace({"sliding_friction": 0.8}), cut_stretches(noisy(exact(Model(), 4, 2), 2))
@@ -113,6 +114,7 @@ def test_without_friction_nothing_slides():
     assert not any(clip.launch[SLIP].any() for clip in chosen)
 
 
+@pytest.mark.gate
 def test_one_note_lists_the_stretches_of_a_clip_that_have_a_kink():
     cut = cut_stretches(noisy(exact(Model(), 3, 2), 2))
     for k in (1, 2, 7):

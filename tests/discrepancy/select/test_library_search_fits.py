@@ -116,7 +116,7 @@ def test_score_tests_are_those_of_the_fit_that_is_kept(monkeypatch):
 def test_a_fit_that_cannot_reach_a_model_that_it_contains_begins_again_there(monkeypatch):
     """Strikers that come from the wrong side: no step from there leads back."""
     only(monkeypatch, air_drag=library()["air_drag"])
-    clips = collisions(Model(), 4, 3)
+    clips = collisions(Model(), 2, 3)
     noise = estimate_noise(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     store = library_fits(clips, base, noise)

@@ -167,6 +167,7 @@ def test_the_contacts_with_the_longest_slides_give_the_friction_of_the_film():
     assert np.median(np.abs(z)) < 2
 
 
+@pytest.mark.gate
 def test_rounding_changes_no_estimate_of_a_contact():
     """Positions 1e-14 larger once made errors 12 % larger: equal costs, and directions of friction far off."""
     clip = synthcam.Scene.read("crowd", timing={"frames": 24}).draw(seed=1)
