@@ -1,6 +1,7 @@
-"""What the contacts of one film of a crowd show: a heavier ball, or friction between the balls that falls with speed.
+"""What one film of a crowd shows: a heavier ball, friction between the balls that falls with speed, or a tilted plate.
 
-python -m benchmarks.search.crowd_laws heavier|equal|falling|coulomb [--films 6] [--first 1] [-o out/crowd_laws.json]
+python -m benchmarks.search.crowd_laws KIND [--films 6] [--first 1] [-o out/crowd_laws.json]
+KIND: heavier, equal, falling, coulomb, tilted, level
 
 No film is rendered. Positions are true ones with 0.05 px noise, at 1,000 frames a second. `heavier`: thirty balls in a
 tray for 0.5 s, and the first ball has 1.3 times the mass of the others; `equal`: none has. `falling`: 36 balls for
@@ -8,6 +9,8 @@ tray for 0.5 s, and the first ball has 1.3 times the mass of the others; `equal`
 
 Each line has the law of the recoil or of the friction that `discrepancy find` names, its sigma and its numbers, and for
 a heavier ball whether it is the right one. A friction that falls is right if it is named as such, not only as a rival.
+
+`tilted` and `level` search the free stretches of the scene `crowd`, on a plate that is tilted by 1 mrad or not at all.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+import discrepancy
 import tracker
 from benchmarks.harness import ROOT, keep, save
 from benchmarks.tracker.crowd_contacts import measure_true_positions, name_balls
@@ -29,7 +33,8 @@ from synthcam.scene.scene import Scene
 EXCESS = 0.3  # of the mass of the heavier ball
 FALLING = {"mu": 0.03, "rise": 0.4, "fall": 0.12}
 COULOMB = {"mu": 0.1}
-KINDS = ("heavier", "equal", "falling", "coulomb")
+TILT = 1e-3
+KINDS = ("heavier", "equal", "falling", "coulomb", "tilted", "level")
 
 
 def make_tray(
@@ -55,8 +60,24 @@ def make_tray(
     )
 
 
+def search_stretches(kind: str, seed: int) -> dict[str, Any]:
+    """The effects that the free stretches of one film show, with their numbers, and whether they are the true ones."""
+    effects = {"plate_tilt": {"x": TILT}} if kind == "tilted" else {}
+    level = Scene.read("crowd").draw(seed=seed)
+    clip = Scene.read("crowd", effects=effects).draw(seed=seed)
+    found = discrepancy.find([measure_true_positions(clip, seed)], level.model, stretches=True)
+    return {
+        "law": " and ".join(claim.effect for claim in found.named) or "nothing",
+        "right": [claim.effect for claim in found.named] == list(effects),
+        "sigma": max((claim.sigma for claim in found.named), default=0.0),
+        "numbers": [[value, claim.std[name]] for claim in found.named for name, value in claim.values.items()],
+    }
+
+
 def search_film(kind: str, seed: int) -> dict[str, Any]:
     """The law of one film, with its numbers, and whether it is the true one."""
+    if kind in ("tilted", "level"):
+        return search_stretches(kind, seed)
     friction = {"falling": FALLING, "coulomb": COULOMB}.get(kind)
     heavier = make_tray(EXCESS if kind == "heavier" else 0.0)
     scene = heavier if friction is None else make_tray(balls=36, frames=300, friction=friction)
@@ -65,7 +86,7 @@ def search_film(kind: str, seed: int) -> dict[str, Any]:
     quantity = "recoil" if friction is None else "friction"
     claims = [one for one in select_contact_laws(read_contacts([result])) if one.quantity == quantity]
     if not claims:
-        return {"law": "too few contacts", "right": False, "contacts": 0, "sigma": 0.0, "numbers": []}
+        return {"law": "too few contacts", "right": False, "sigma": 0.0, "numbers": []}
     (claim,) = claims
     heavy = next((k for k, ball in name_balls(clip, result).items() if ball == 0), -1)
     truth = {"heavier": f"ball {heavy} is heavier by a share", "equal": "as the masses say"}
@@ -93,8 +114,8 @@ def main() -> None:
     for seed in range(given.first, given.first + given.films):
         part = f"{given.kind} {seed}"
         one = found[part] = keep(given.output.with_suffix(".jsonl"), part, partial(search_film, given.kind, seed))
-        numbers = ", ".join(f"{value:.3f}({std:.3f})" for value, std in one["numbers"])
-        print(f"{part}: {one['law']}, {one['sigma']:.1f} sigma, {numbers} of {one['contacts']} contacts", flush=True)
+        numbers = ", ".join(f"{value:.4g}({std:.2g})" for value, std in one["numbers"])
+        print(f"{part}: {one['law']}, {one['sigma']:.1f} sigma, {numbers}; contacts: {one.get('contacts')}", flush=True)
     save(given.output, found)
     print(f"{sum(one['right'] for one in found.values())} of {len(found)} films are right")
 

@@ -77,7 +77,7 @@ def measure_losses(
     noise: of a coordinate, m.
     frame_s: duration of a frame, s.
     """
-    seen, smoothed = _Sums(len(frames)), _Sums(len(frames))  # by how much all may err in the same direction
+    seen, slides, lines = (_Sums(len(frames)) for _ in range(3))  # the last two err in the same direction
     lost = {name: _Sums(len(frames)) for name in SINKS}
     groups = group_contacts(contacts, paths, noise, frame_s)
     balls, at = contacts[["particle1", "particle2"]].to_numpy(), contacts["t_s"].to_numpy(dtype=np.float64)
@@ -91,7 +91,9 @@ def measure_losses(
         listed = np.isin(path.frame, frames)  # few balls have a velocity in the others
         if path.by_friction is not None:
             velocity = np.nan_to_num(path.velocities.even + path.velocities.odd)[:-2] / 2
-            smoothed.add(rows[listed], (velocity * path.by_friction[:-2]).sum(axis=1)[listed])
+            slides.add(rows[listed], (velocity * path.by_friction[:-2]).sum(axis=1)[listed])
+        if path.smoothed is not None:
+            lines.add(rows[listed], (np.sqrt(2 * np.maximum(np.nan_to_num(value), 0)) * path.smoothed[:-2])[listed])
         in_view.setdefault(path.ball, []).append((rows[listed], value[listed], error[listed]))
         value, error, rows = value[known], error[known], rows[known]
         if not len(value) or lies_within_group(path):
@@ -116,7 +118,7 @@ def measure_losses(
     hit = sum(int(rows[0] == 0 and not error[0] < MAX_ERROR_OF_SPREAD * spread[0]) for rows, _, error in each)
     early = groups.expected[0, groups.label[np.argsort(at)[:10]]]
     hidden["contacts"].add(0, hit / 2 * float(early.mean() if len(early) else 0.0))  # of pairs in the first frame
-    return _tabulate(seen, smoothed, lost, hidden)
+    return _tabulate(seen, np.hypot(slides.value, lines.value), lost, hidden)
 
 
 def _add_steps(
@@ -174,9 +176,9 @@ def _add_steps(
             add_hidden(name, int(k), expected, "unresolved")
 
 
-def _tabulate(seen: _Sums, smoothed: _Sums, lost: Mapping[str, _Sums], hidden: Mapping[str, _Sums]) -> pd.DataFrame:
+def _tabulate(seen: _Sums, shared_std: Array, lost: Mapping[str, _Sums], hidden: Mapping[str, _Sums]) -> pd.DataFrame:
     """Make the columns of `measure_losses`; `hidden` is what errors of the sinks also hold."""
-    columns = {"energy": seen.value[:-1], "energy_std": np.hypot(np.sqrt(seen.variance), smoothed.value)[:-1]}
+    columns = {"energy": seen.value[:-1], "energy_std": np.hypot(np.sqrt(seen.variance), shared_std)[:-1]}
     for name, column in SINKS.items():
         columns[column] = lost[name].value[:-1].cumsum()
         shared = (lost[name].common[:-1].cumsum(axis=0) ** 2).sum(axis=1)

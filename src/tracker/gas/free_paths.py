@@ -56,6 +56,8 @@ class FreePath:
     unsure: Array
     usable: bool = True  # whether its velocities show what the contacts before and after it took
     by_friction: Array | None = None  # (n + 2, 2) m/s: their change by one standard error of the friction of the plate
+    # (n + 2,) m/s: how much too slow they may be because they are straight lines between contacts; all err this way
+    smoothed: Array | None = None
     sides: tuple[SideOfContact, ...] = ()
 
 
@@ -112,6 +114,7 @@ def _fit_path(
     slide_end = find_slide_end(free, position, cuts.noise) if cuts.slides and ends[0] >= 0 else np.nan
     velocities = fit_velocities(free, position, np.append(time, [first, last]), cuts.window_rows, slide_end, cuts.noise)
     _widen_at_hidden_kinks(velocities, free, position, np.append(time, [first, last]), cuts, at_start=ends[0] < 0)
+    smoothed = None
     unsure, step = np.zeros(len(time) + 2), float(np.diff(ball.time).min(initial=1.0))
     if len(free) < 2 and min(ends) >= 0:
         places = [extrapolate_to_contact(ball, breaks, edge, later) for edge, later in ((first, False), (last, True))]
@@ -121,6 +124,7 @@ def _fit_path(
         velocities = HalfVelocities(chord, chord.copy(), gain, gain.copy(), gain.copy())
         short = (early + late + step * (2 - sum(sure for _, sure in places))) / 4  # interpolation cuts the corners
         unsure += np.hypot(*velocities.even[0]) * min(short / (last - first), 0.5)
+        smoothed = unsure.copy()
     rows_of_slide = 4  # that show its friction
     if cuts.slides and ends[0] >= 0 and not (free < slide_end).sum() >= rows_of_slide:
         velocities.even[-2] = velocities.odd[-2] = np.nan  # the friction between contact and first row is not known
@@ -128,7 +132,7 @@ def _fit_path(
         rest = longest - (np.append(time, [first, last]) - first)
         unsure = np.hypot(unsure, USUAL_FRICTION * np.maximum(rest, 0) / 2)
     path = FreePath(ball.particle, ball.frame[rows], time, *ends, first, last, velocities, unsure)
-    return replace(path, usable=len(free) >= 2 or min(ends) < 0), (free, position)
+    return replace(path, usable=len(free) >= 2 or min(ends) < 0, smoothed=smoothed), (free, position)
 
 
 def _widen_at_hidden_kinks(

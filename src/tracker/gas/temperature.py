@@ -38,6 +38,9 @@ def tabulate_velocities(paths: Sequence[FreePath]) -> pd.DataFrame:
             "gain_common": every.gain_common,
             "unsure": np.concatenate([path.unsure[:-2] for path in paths]),
             **dict(zip(BY_FRICTION, _join_by_friction(paths).T, strict=True)),
+            "smoothed": np.concatenate(
+                [np.zeros(len(p.frame)) if p.smoothed is None else p.smoothed[:-2] for p in paths]
+            ),
         }
     )
     table["unknown"] = table.groupby("frame")["even_x"].transform(lambda column: column.isna().sum())
@@ -64,10 +67,11 @@ def measure_temperatures(
     """Measure the temperature and the mean velocity of each frame with three balls or more.
 
     temperature is the sum of (even - mean even) . (odd - mean odd) over the balls, over 2 (n - 1). temperature_std is
-    its error. It contains the noise, balls whose velocity is not known, and slides after contacts that are too short to
-    be seen. All slides share the error of the friction; what else they err by is as likely along the velocity as across
-    it. It also contains the sides of frames at contacts, and contacts that hide next to others.
-    temperature_sampling is its further error as the temperature of an infinite system with such balls.
+    its error. It contains the noise, balls whose velocity is not known, and slides after contacts that are too short
+    to be seen. All slides share the error of the friction; what else they err by is as likely along the velocity as
+    across it. Straight lines between contacts are all too slow. It also contains the sides of frames at contacts, and
+    contacts that hide next to others. temperature_sampling is its further error as the temperature of an infinite
+    system with such balls.
 
     noise: of a coordinate, m. paths: those of the table, for the sides. hidden: balls with a velocity from beyond a
     contact that hides, by frame.
@@ -77,7 +81,9 @@ def measure_temperatures(
     variance = variance + 2 * np.maximum(product, 0) * table["unsure"] ** 2
     velocities = table[["even_x", "even_y"]].to_numpy() + table[["odd_x", "odd_y"]].to_numpy()
     by_friction = (velocities * table[list(BY_FRICTION)].to_numpy()).sum(axis=1)
-    rows = {"frame": table["frame"], "product": product, "variance": variance, "by_friction": by_friction}
+    smoothed = 2 * np.sqrt(np.maximum(product, 0)) * table["smoothed"]
+    rows = {"frame": table["frame"], "product": product, "variance": variance}
+    rows |= {"by_friction": by_friction, "smoothed": smoothed}
     sums = pd.DataFrame(rows).groupby("frame")
     at_contacts = sum_sides(paths).groupby("frame")["variance"].sum().reindex(group.size().index, fill_value=0.0)
     if hidden is not None:
@@ -87,7 +93,7 @@ def measure_temperatures(
     temperature = sums["product"].sum() / (2 * (balls - 1))
     missing = np.hypot(spread * np.sqrt(unknown), HOTTER * temperature * unknown) / (balls + unknown)
     variances = sums["variance"].sum() + at_contacts
-    noisy = np.sqrt(variances + sums["by_friction"].sum() ** 2) / (2 * (balls - 1))
+    noisy = np.sqrt(variances + sums["by_friction"].sum() ** 2 + sums["smoothed"].sum() ** 2) / (2 * (balls - 1))
     result = pd.DataFrame(
         {
             "balls": balls,

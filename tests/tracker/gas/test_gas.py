@@ -367,13 +367,15 @@ def test_slides_share_the_error_of_the_friction_and_no_other():
     velocities = 0.1 * np.column_stack([np.cos(angle), np.sin(angle)])
     columns = dict(zip(HALVES, [*velocities.T, *velocities.T], strict=True))
     columns |= {"gain_even": 0.0, "gain_odd": 0.0, "gain_common": 0.0, "unknown": 0, "frame": 0}
-    own = pd.DataFrame(columns).assign(unsure=0.01, friction_x=0.0, friction_y=0.0)
+    own = pd.DataFrame(columns).assign(unsure=0.01, friction_x=0.0, friction_y=0.0, smoothed=0.0)
     relative = 2 * 0.1 * 0.01 * np.sqrt(0.5 * 100) / (100 * 0.1**2)  # half of the squares is along the velocity
     found = measure_temperatures(own, 0.0).iloc[0]
     assert found["temperature_std"] / found["temperature"] == pytest.approx(relative)
     along = own.assign(unsure=0.0, friction_x=0.1 * velocities[:, 0], friction_y=0.1 * velocities[:, 1])
     found = measure_temperatures(along, 0.0).iloc[0]
     assert found["temperature_std"] / found["temperature"] == pytest.approx(0.2)
+    lines = measure_temperatures(own.assign(unsure=0.0, smoothed=0.01), 0.0).iloc[0]
+    assert lines["temperature_std"] / lines["temperature"] == pytest.approx(0.2)
     across = own.assign(unsure=0.0, friction_x=0.1 * velocities[:, 1], friction_y=-0.1 * velocities[:, 0])
     assert measure_temperatures(across, 0.0).iloc[0]["temperature_std"] == pytest.approx(0.0, abs=1e-12)
 
@@ -505,7 +507,7 @@ def test_balls_without_a_velocity_may_be_hotter_than_the_others():
     velocities = 0.1 * np.random.default_rng(1).standard_normal((400, 2))
     columns = dict(zip(HALVES, [*velocities.T, *velocities.T], strict=True))
     table = pd.DataFrame(columns).assign(frame=0, gain_even=0.0, gain_odd=0.0, gain_common=0.0, unsure=0.0, unknown=100)
-    table = table.assign(friction_x=0.0, friction_y=0.0)
+    table = table.assign(friction_x=0.0, friction_y=0.0, smoothed=0.0)
     found = measure_temperatures(table, 0.0).iloc[0]
     all_hotter, sampling = 0.3 * 100 / 500, np.sqrt(100) / 500  # v^2/2 scatters by its mean
     assert found["temperature_std"] / found["temperature"] == pytest.approx(np.hypot(all_hotter, sampling), rel=0.02)
