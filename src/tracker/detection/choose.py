@@ -143,10 +143,10 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     best = max(more, key=lambda name: found[name].score, default=best)
     if best == GREY:
         return GREY, _describe_noise(found[GREY], {name: rivals[name] for name in noisy}, min_score)
-    fewer = found[best].bodies < found[GREY].bodies
+    hint = ", and --ball X,Y@FRAME points at a ball that only grey shows" if found[GREY].bodies else ""
     return best, (
         f"channel: {best}, because it shows {found[best].describe()}, and grey {found[GREY].describe()}; "
-        f"--channel overrides this{', and --ball X,Y@FRAME points at a ball that only grey shows' if fewer else ''}"
+        f"--channel overrides this{hint}"
     )
 
 

@@ -224,6 +224,14 @@ def test_a_ball_that_bounces_while_it_is_not_seen_keeps_its_number():
     assert pure(assign_track_numbers(found, IN_BOX, 40.0), truth)
 
 
+def test_a_ball_at_rest_that_something_unseen_hits_keeps_its_number():
+    """It is hit within a frame, so that its first step shows a third of its speed, of two diameters a frame."""
+    x = np.where(np.arange(30) < 20, 100.0, 100 + 66 * (np.arange(30) - 19.67))
+    paths = np.stack([np.column_stack([x, 0 * x + 200]), np.column_stack([0 * x + 60, 0 * x + 60])], axis=1)
+    found, truth = scattered(np.random.default_rng(4), paths)
+    assert pure(assign_track_numbers(found, replace(IN_BOX, size=(1920, 1080)), 36.0), truth)
+
+
 @pytest.mark.parametrize("step", [3, 8])
 def test_a_large_ball_with_uneven_steps_is_followed(step):
     """A film of 24 pictures a second at 60: a ball of 72 px rolls alone, and its times are off by half a frame."""

@@ -124,7 +124,7 @@ def _weigh(step: _Step, hits: PredictedHits, near: Ints) -> tuple[Array, Ints]:
     best[~old] = np.where(off[~old] < (noise.reach * frames) ** 2, best[~old] + noise.log_new, -np.inf)
     total, kind = best, np.full(near.shape, -1)
     unhit_for = step.unhit_frames
-    speed = np.hypot(*before.v.T) * unhit_for
+    speed = (np.hypot(*before.v.T) + (np.sqrt(before.cov[:, 2]) if noise.hidden_hits else 0.0)) * unhit_for
     lost = 0.6 * noise.diameter * unhit_for + noise.tolerance * speed
     way = ((there - step.unhit_xy[:, None]) ** 2).sum(axis=2)
     around = (off < lost[:, None] ** 2) | (way < (0.3 * noise.diameter * unhit_for + speed)[:, None] ** 2)

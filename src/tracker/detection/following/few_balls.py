@@ -7,7 +7,7 @@ because numpy's time for two balls is that of its calls.
 from collections.abc import Sequence
 from enum import Enum
 from itertools import combinations
-from math import hypot, inf, log, pi
+from math import hypot, inf, log, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -177,7 +177,8 @@ def _match_surely(
     rounding, doubt = 1 + 1e-9, 1e-6  # of squares, and of logarithms
     base, own, taken = noise.log_seen - log(noise.false_density), [-1] * len(states), set[int]()
     for i, (before, state, count, (unhit_for, start)) in enumerate(zip(states, ahead, counts, unhit, strict=True)):
-        variance, speed = state.xx + noise.position**2, hypot(before.vx, before.vy) * unhit_for
+        variance = state.xx + noise.position**2
+        speed = (hypot(before.vx, before.vy) + (sqrt(before.vv) if noise.hidden_hits else 0.0)) * unhit_for
         lost = 0.6 * noise.diameter * unhit_for + noise.tolerance * speed
         back = 0.3 * noise.diameter * unhit_for + speed
         hit_by_unseen = log(noise.unseen_hits * unhit_for / (pi * max(lost, speed) ** 2))
