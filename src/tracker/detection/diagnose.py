@@ -232,15 +232,15 @@ class LooseEnds:
         )
 
     def warn(self, hint: str = "") -> tuple[str, ...]:
-        """Explain, as a warning that ends with the hint, that most tracks have such ends; empty where they do not."""
+        """Explain, as a warning that ends with the hint, that most tracks have such ends, or are pieces of a ball."""
+        begin = "tracks begin" if self.resumed > 1 else "track begins"
+        pieces = f"{self.resumed} {begin} where another ended shortly before: they may be pieces of one ball that was"
+        joins = "`link: {max_gap_frames: 20}` in a file behind --settings joins longer gaps"
         if not self.are_most:
-            return ()
+            return (f"{pieces} hidden or hit; an edit gives them one number (--edits)",) if self.resumed else ()
         text = "the tracks may be reflections or specks, or more objects than the tracker can distinguish"
         if 4 * self.resumed >= self.count:  # half of the loose ends
-            text = (
-                f"{self.resumed} tracks begin where another ended shortly before: they may be pieces of one ball that "
-                "was hidden; `link: {max_gap_frames: 20}` in a file behind --settings joins longer gaps"
-            )
+            text = f"{pieces} hidden; {joins}"
         return (f"{self.describe()}: {text}{hint}",)
 
 
@@ -260,7 +260,7 @@ def count_loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tupl
     cut = np.abs(frame[:, None] - np.array(spans).ravel()).min(axis=1) <= 2  # frames
     loose = ~(rim | cut)
     found = LooseEnds(int(loose.sum()), len(ends), 0)
-    return replace(found, resumed=_count_resumed(tracks, rows, loose, rim_px)) if found.are_most else found
+    return replace(found, resumed=_count_resumed(tracks, rows, loose, rim_px))
 
 
 def follow_bodies(tracks: Tracks, size: tuple[int, int]) -> bool:

@@ -45,7 +45,7 @@ SPECKS = [(10 * k, 10 * k + 6, (9 + k % 3, 120), (10, 121)) for k in range(1, 8)
         (GLITTER, [(0, LAST)], "14 of the 14 ends"),
         (SPECKS, [(0, LAST)], "14 of the 14 ends"),  # at the rim, but they stay there
         (BALLS + GLITTER, [(0, LAST)], "14 of the 20 ends"),
-        (BALLS + GLITTER[:2], [(0, LAST)], ""),  # as many as a lost ball leaves
+        (BALLS + GLITTER[:2], [(0, LAST)], "1 track begins where another ended"),  # as a lost ball leaves
         (GLITTER, [(10 * k, 10 * k + 6) for k in range(1, 8)], ""),  # a take each
     ],
 )
