@@ -32,7 +32,8 @@ def solve_restitutions(ratio: Array, friction: Array, tangent: Array, way: Array
     - tangent (n,): of the angle between approach and line of centres.
     - way (n,): closing speed times duration, in diameters.
     """
-    table, tolerance = _tabulate_losses(), 2e-4  # of a restitution; its error is more than ten times that
+    # of the restitution to which the losses belong; that of the result is at most a fiftieth of the laws' spread
+    table, tolerance = _tabulate_losses(), 1e-3
     lasts, delta = np.full((len(ratio), 5), np.nan), np.zeros((len(ratio), 5))
     for _ in range(6):
         guess = np.clip(ratio[:, None] + delta, LEAST_RESTITUTION, 1.0)
