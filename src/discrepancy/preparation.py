@@ -16,8 +16,8 @@ from discrepancy.data.track_checks import covers_contact, remove_filtered_rows
 from discrepancy.fitting.base_fit import fit_base_model, remove_outliers_beside_model
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.noise_refit import refit_noise
-from discrepancy.fitting.stretch_moves import StretchScatter, add_moves, find_moves
-from discrepancy.fitting.stretch_scatter import NO_SCATTER, add_scatter, fit_scatter
+from discrepancy.fitting.stretch_moves import NO_SCATTER, StretchScatter, add_moves, find_moves
+from discrepancy.fitting.stretch_scatter import add_scatter, fit_scatter
 from discrepancy.fitting.stretch_starts import choose_starts, fit_launches
 from discrepancy.noise.error_trends import remove_frame_shift, rescale_errors
 from discrepancy.noise.model import Noise, estimate_noise
@@ -56,16 +56,19 @@ class SearchData:
         return replace(self, clips=clips, left_out=(*self.left_out, *outliers.values()))
 
     def with_scatter(self, scatter: StretchScatter, fit: ModelFit) -> SearchData:
-        """Count this scatter from stretch to stretch as noise, with derivatives at a fit of the clips."""
+        """Count this scatter from stretch to stretch as noise, with derivatives at a fit of the clips.
+
+        All held-out clips get the accelerations of the median stretch. By its own residuals, a stretch that contradicts
+        the claims of the fit would count less, and its chi^2 would not grow.
+        """
         clips = add_scatter(self.clips, fit, scatter, self.noise)
         held_out = [replace(clip, scatter=None) for clip in self.held_out]
         if not scatter.is_none:
             try:
-                there = fit_launches(self.held_out, fit.model, self.noise)
-                held_out = add_scatter(self.held_out, there, scatter, self.noise)
+                launches = fit_launches(self.held_out, fit.model, self.noise).launches
             except ValueError:  # the model has no motion for one of them
                 launches = np.array([clip.launch for clip in self.held_out])
-                held_out = add_moves(self.held_out, find_moves(self.held_out, fit.model, launches), scatter)
+            held_out = add_moves(self.held_out, find_moves(self.held_out, fit.model, launches), scatter.without_tails())
         return replace(self, clips=tuple(clips), held_out=tuple(held_out), scatter=scatter)
 
 

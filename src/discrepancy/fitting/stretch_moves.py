@@ -8,10 +8,12 @@ proportional to a power of the speed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import X, Y
@@ -47,6 +49,13 @@ class StretchScatter:
     def is_none(self) -> bool:
         """True if nothing differs."""
         return not (self.friction or self.loss_m_s2 or self.across_m_s2 or self.displacement_m)
+
+    def without_tails(self) -> StretchScatter:
+        """The normal scatter with the accelerations of the median stretch, if the tails are those of Student's t."""
+        if not self.freedom:
+            return self
+        factor = math.sqrt(self.freedom / float(chdtri(self.freedom, 0.5)))
+        return replace(self, loss_m_s2=factor * self.loss_m_s2, across_m_s2=factor * self.across_m_s2, freedom=0.0)
 
     def is_close_to(self, other: StretchScatter, tolerance: float = 0.15) -> bool:
         """True if no size differs from the other's by more than this share of the larger one."""

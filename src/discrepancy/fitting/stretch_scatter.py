@@ -22,6 +22,7 @@ from discrepancy.fitting.noise_refit import RestrictedResiduals
 from discrepancy.fitting.scatter_tails import FREEDOMS, TailLikelihood
 from discrepancy.fitting.stretch_moves import (
     DISPLACED,
+    NO_SCATTER,
     ON_AIR,
     ON_PLATE,
     AirMoves,
@@ -36,7 +37,6 @@ from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
 from synthcam_shared.arrays import Array
 
-NO_SCATTER = StretchScatter()
 SPEED_POWERS = (0, 1, 2)
 MAX_LOG_GROWTH = 7.0  # of a size, over the one from which its fit starts
 RESIDUAL_TO_PUSH = 27.0  # a constant acceleration a leaves an rms of a T^2 / 27 about a straight line, in a time T
@@ -177,12 +177,13 @@ class _ScatterLikelihood:
     def lengthen_tails(self, normal: StretchScatter, tails: TailLikelihood) -> StretchScatter:
         """The same scatter on air, or one with the tails of Student's t if that gains enough in likelihood.
 
-        The sizes start from those without tails. Changes of the shared parameters follow from the fit before.
+        Sizes are fitted in the same way without tails and with them; they start from those of `normal`. Changes of the
+        shared parameters follow from the fit before.
         """
         names = [n for n in (*ON_AIR, *DISPLACED) if getattr(normal, n)]
-        first = best = tails.cost(normal, tails.find_multiples(normal)[1])
         found, x = normal, np.log([getattr(normal, n) / self.start[n] for n in names])
-        for freedom in FREEDOMS:
+        costs = list[float]()  # without tails, then with longer and longer ones
+        for freedom in (0.0, *FREEDOMS):
             tried = replace(found, freedom=freedom)
             for _ in range(2):
                 shared = tails.find_multiples(tried)[1]
@@ -194,10 +195,11 @@ class _ScatterLikelihood:
                 x = minimise_cost(price, x)
                 tried = replace(self._build(names, x, normal.speed_power), freedom=freedom)
             cost = tails.cost(tried, tails.find_multiples(tried)[1])
-            if not cost < best:
+            if costs and not cost < costs[-1]:
                 break
-            found, best = tried, cost
-        return found if best < first - current_policy().min_noise_gain - 2 else normal
+            found = tried
+            costs.append(cost)
+        return found if costs[-1] < costs[0] - current_policy().min_noise_gain - 2 else normal
 
     def drop_negligible(self, scatter: StretchScatter) -> StretchScatter:
         """The same scatter without sizes that are far below those of the start."""

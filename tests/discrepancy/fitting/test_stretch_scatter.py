@@ -12,13 +12,16 @@ from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting import stretch_scatter
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
 from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.noise_refit import RestrictedResiduals
 from discrepancy.fitting.parameters import list_candidates
-from discrepancy.fitting.scatter_tails import TailLikelihood
+from discrepancy.fitting.scatter_tails import FREEDOMS, TailLikelihood
 from discrepancy.fitting.stretch_moves import AirMoves, StretchScatter, find_moves
-from discrepancy.fitting.stretch_scatter import add_scatter, fit_scatter
+from discrepancy.fitting.stretch_scatter import _ScatterLikelihood, add_scatter, fit_scatter
 from discrepancy.policy import current_policy
+from discrepancy.preparation import SearchData
 from discrepancy.select.library_fits import LibraryFits
 from discrepancy.select.score_test import ScoreTests
+from discrepancy.validate.gap import measure_gap
 from synthcam.model import Model
 
 COUNT = 6
@@ -164,6 +167,45 @@ def test_no_candidate_is_significant_beside_long_tails(seed):
     assert fit.chi2 / (fit.points - fit.parameters) == pytest.approx(1, abs=0.15)
     library = LibraryFits(WhitenedClips.of(clips, CLAIMED_NOISE), fit)
     assert library.score_tests(()).leaders(library.required_sigma)[0].sigma < library.required_sigma
+
+
+TAILS = StretchScatter(loss_m_s2=0.1, across_m_s2=0.03, lasts_s=LASTS, speed_power=1, speed_m_s=0.35, freedom=2.0)
+
+
+def test_a_push_that_the_model_lacks_shows_in_held_out_stretches_beside_long_tails():
+    """By multiples from their own residuals, chi^2 per point of held-out stretches would be near 1 with any push."""
+    clips, gap = tuple(glide(3, count=8, frames=14)), list[float]()
+    fit = fit_base_model(clips, ON_AIR, CLAIMED_NOISE)
+    for push in (0.0, 1.0, 2.0):  # m/s^2
+        held_out = tuple(glide(7, count=6, frames=14, push=(push, 0.0)))
+        data = SearchData(clips, held_out, CLAIMED_NOISE, ()).with_scatter(TAILS, fit)
+        there = measure_gap(data.held_out, fit, fit, data.noise).before
+        gap.append(there.chi2 / there.points)
+    assert gap[0] == pytest.approx(1, abs=0.4)
+    assert gap[1] > 3 * gap[0]
+    assert gap[2] > 2.5 * gap[1]
+
+
+@pytest.mark.parametrize("freedom", FREEDOMS)
+def test_without_tails_accelerations_are_those_of_the_median_stretch(freedom):
+    multiples = freedom / np.random.default_rng(1).chisquare(freedom, 200_000)
+    plain = dataclasses.replace(TAILS, freedom=freedom).without_tails()
+    assert not plain.freedom
+    for size, with_tails in ((plain.loss_m_s2, 0.1), (plain.across_m_s2, 0.03)):
+        assert size / with_tails == pytest.approx(np.sqrt(np.median(multiples)), rel=0.01)
+
+
+def test_sizes_that_fit_better_count_for_no_tails():
+    """Normal accelerations: sizes of 0.4 times theirs lower the likelihood, also without tails."""
+    clips = glide(3, count=8, frames=14)
+    fit, every = fit_base_model(clips, ON_AIR, CLAIMED_NOISE), list(range(8))
+    moves = find_moves(clips, fit.model, fit.launches)
+    tails = TailLikelihood.of(clips, fit, CLAIMED_NOISE, moves, every)
+    start = {"loss_m_s2": 0.1, "across_m_s2": 0.03, "lasts_s": LASTS}
+    left = RestrictedResiduals.of(clips, fit, CLAIMED_NOISE, every)
+    likelihood = _ScatterLikelihood(left, moves, CLAIMED_NOISE, start, STD, (1e-3, 1e-2), 0.35)
+    normal = dataclasses.replace(TAILS, loss_m_s2=0.04, across_m_s2=0.012, freedom=0.0)
+    assert likelihood.lengthen_tails(normal, tails) == normal
 
 
 def test_a_free_law_absorbs_no_scatter():
