@@ -195,20 +195,33 @@ def warn_of_missed_examples(tracks: Tracks, examples: Sequence[BallExample], vie
 
 
 def warn_of_exchanges(tracks: Tracks) -> tuple[str, ...]:
-    """Name, as a warning, the balls that may have exchanged their numbers, and the frames from which on."""
-    most = 5  # frames that are named
+    """Name, as warnings, the balls whose tracks may be those of other balls, and the frames from which on.
+
+    Two in one frame may have exchanged their numbers. One alone turned back unseen at the edge of the picture.
+    """
     doubtful = np.array([PositionFlag.EXCHANGE.word in flags.split("|") for flags in tracks.flags.tolist()], dtype=bool)
-    if not doubtful.any():
-        return ()
     frame, particle = tracks.frame[doubtful], tracks.particle[doubtful]
-    frames = np.unique(frame).tolist()
-    named = [f"{' and '.join(map(str, sorted(particle[frame == k].tolist())))} in frame {k}" for k in frames[:most]]
-    more = f" and {len(frames) - most} more" if len(frames) > most else ""
-    return (
-        f"balls may have exchanged their numbers in {len(frames)} frame{'s' * (len(frames) > 1)}, because other links "
-        f"are nearly as likely there: {', '.join(named)}{more} ({PositionFlag.EXCHANGE.word} in column flags of "
-        "tracks); compare overlay.mp4, and exchange numbers back by --edits",
-    )
+    balls = {k: sorted(particle[frame == k].tolist()) for k in np.unique(frame).tolist()}
+    exchanged = {k: own for k, own in balls.items() if len(own) > 1}
+    turned = {k: own for k, own in balls.items() if len(own) == 1}
+    where, notes = f"({PositionFlag.EXCHANGE.word} in column flags of tracks); compare overlay.mp4, and", []
+    if exchanged:
+        notes.append(
+            f"balls may have exchanged their numbers in {len(exchanged)} frame{'s' * (len(exchanged) > 1)}, because "
+            f"other links are nearly as likely there: {_name_balls(exchanged)} {where} exchange numbers back by --edits"
+        )
+    if turned:
+        notes.append(
+            "a ball may have left the picture and another one entered under its number, because no wall is seen where "
+            f"it turned back: {_name_balls(turned)} {where} cut the track by --edits"
+        )
+    return tuple(notes)
+
+
+def _name_balls(balls: dict[int, list[int]]) -> str:
+    most = 5  # frames that are named
+    named = [f"{' and '.join(map(str, own))} in frame {k}" for k, own in list(balls.items())[:most]]
+    return ", ".join(named) + (f" and {len(balls) - most} more" if len(balls) > most else "")
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ class PositionFlag(IntFlag):
     MISFIT = 8  # the residuals of its fit are larger than the noise; its covariance is increased by as much
     EDGE = 16  # a part of it is cut off by the edge of the picture
     SHADED = 32  # it is lit from one side; its far side lies in its own shadow
-    EXCHANGE = 64  # from here on the track may be that of another ball, whose link is nearly as likely
+    EXCHANGE = 64  # from here on the track may be that of another ball
 
     @property
     def word(self) -> str:

@@ -18,6 +18,7 @@ from tracker.detection.following.assignment import link_frame
 from tracker.detection.following.few_balls import follow_apart
 from tracker.detection.following.motion_filter import UNBOUNDED, MotionNoise, PredictedBalls
 from tracker.detection.following.shown_motion import measure_motion
+from tracker.detection.following.unseen_turns import find_unseen_turns
 from tracker.detection.glints import Glints, PositionFlag, RowArrays, describe_flags
 from tracker.settings import USUAL_SPEED_M_S, USUAL_STEP_PX, LinkSettings
 
@@ -120,7 +121,8 @@ def link_detections(
     links = Links.none(len(glints))
     if len(glints) == 0:
         return links
-    followed = _follow(glints, _expect_motion(glints, camera, diameter, settings), settings.max_gap_frames)
+    noise = _expect_motion(glints, camera, diameter, settings)
+    followed = _follow(glints, noise, settings.max_gap_frames)
     least = settings.min_track_frames if diameter else 1
     for number, rows in enumerate(_keep_ball_tracks(followed.tracks, glints, camera, least, settings)):
         links.ids[rows] = number
@@ -128,6 +130,7 @@ def link_detections(
         later = [followed.tracks[number][glints.frame[followed.tracks[number]] >= frame] for number in pair]
         if all(len(rows) and links.ids[rows[0]] >= 0 for rows in later):
             links.doubtful[[rows[0] for rows in later]] = True
+    links.doubtful[find_unseen_turns(glints.frame, links.ids, glints.xy, camera.size, noise.diameter)] = True
     return links
 
 

@@ -173,3 +173,7 @@ def test_balls_that_may_have_exchanged_numbers_are_named():
     assert warning.startswith("balls may have exchanged their numbers in 1 frame, ")
     assert ": 0 and 3 in frame 5 (exchange in column flags of tracks)" in warning
     assert warn_of_exchanges(tracks.take([0, 2])) == ()
+    (alone,) = warn_of_exchanges(tracks.take([0, 1, 2]))
+    assert alone.startswith("a ball may have left the picture and another one entered under its number, ")
+    assert ": 0 in frame 5 (exchange in column flags of tracks)" in alone
+    assert alone.endswith("cut the track by --edits")
