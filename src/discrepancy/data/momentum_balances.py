@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from synthcam_shared.arrays import Array, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
+from tracker.gas.contact_groups import lies_within_group
 from tracker.gas.free_paths import FreePath
 from tracker.gas.gas import GasCamera, GasSettings, find_free_paths, sort_contacts
 from tracker.gas.hidden_slides import USUAL_FRICTION
@@ -45,7 +46,7 @@ class MomentumBalance:
 def balance_groups(
     tracks: Tracks, camera: Camera, contacts: pd.DataFrame, measured: Collection[int]
 ) -> list[MomentumBalance]:
-    """Balance the momenta of groups of contacts without walls, of which not all contacts are measured.
+    """Balance the momenta of groups of contacts without walls, of which no contact is measured.
 
     measured: collisions with values of their own. The errors are at least as large as the balances of many groups show,
     with those that are measured.
@@ -55,7 +56,7 @@ def balance_groups(
     table = sort_contacts(contacts)
     known = GasCamera(camera.ball_diameter, camera.fps, camera.glides)
     paths, noise = find_free_paths(to_ball_tracks(tracks, camera), table, known, GasSettings())
-    within = [min(path.start, path.end) >= 0 and len(path.time) < MIN_POSITIONS_BETWEEN for path in paths]
+    within = [lies_within_group(path, MIN_POSITIONS_BETWEEN) for path in paths]
     ends = np.array([[p.start, p.end] for p, inner in zip(paths, within, strict=True) if inner], dtype=np.int64)
     first, second = ends.reshape(-1, 2).T
     graph = coo_matrix((np.ones(len(first)), (first, second)), (len(table), len(table)))
@@ -80,7 +81,7 @@ def balance_groups(
     return [
         MomentumBalance(each.contacts, each.gained, wider * each.std, each.balls, each.levers)
         for each in every
-        if not np.isin(collision[each.contacts], list(measured)).all()
+        if not np.isin(collision[each.contacts], list(measured)).any()  # these paths are in their own values
     ]
 
 
@@ -90,17 +91,17 @@ def _balance(
     """Balance the momenta of one group; None without all velocities.
 
     sides: paths that begin or end in the group, whether after it, and whether they lie within the group.
-    friction: deceleration of a ball that slides between its contacts, m/s^2, in an unknown direction.
+    friction: deceleration of a ball that slides between its contacts, m/s^2, in an unknown direction of the plane.
     """
     change, variance = dict[int, Array](), 0.0
     for path, after, inner in sides:
         if inner:  # counted once, at its start
-            variance += after * (friction * (path.end_time - path.start_time)) ** 2 / 3
+            variance += after * (friction * (path.end_time - path.start_time)) ** 2 / 2
             continue
         velocities, at = path.velocities, -2 if after else -1
         velocity = (velocities.even[at] + velocities.odd[at]) / 2
         gain = velocities.gain_even[at] + velocities.gain_odd[at] + 2 * velocities.gain_common[at]
-        variance += noise**2 * float(gain) / 4 + float(path.unsure[at]) ** 2 / 2
+        variance += noise**2 * float(gain) / 4 + float(path.unsure_in_all[at]) ** 2 / 2
         change[path.ball] = change.get(path.ball, np.zeros(2)) + (-velocity if after else velocity)
     balls = np.array(sorted(change))
     lost = np.array([change[ball] for ball in balls]).reshape(-1, 2)

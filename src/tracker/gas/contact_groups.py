@@ -46,9 +46,12 @@ class ContactGroups(NamedTuple):
         return np.unique(self.label[contacts])
 
 
-def lies_within_group(path: FreePath) -> bool:
-    """Decide whether a path lies within a group of contacts, because it does not show what each of them took."""
-    return not path.usable and min(path.start, path.end) >= 0
+def lies_within_group(path: FreePath, least: int = 0) -> bool:
+    """Decide whether a path lies within a group of contacts, because it does not show what each of them took.
+
+    least: positions of a path that shows it.
+    """
+    return min(path.start, path.end) >= 0 and not (path.usable and len(path.time) >= least)
 
 
 def group_contacts(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float, frame_s: float) -> ContactGroups:
@@ -163,7 +166,7 @@ def _balance_groups(
     ends, sums = np.zeros((len(label), 2), dtype=np.int64), np.zeros((2, groups))
     for path in paths:
         value, error = measure_energies(path.velocities.take(slice(-2, None)), noise)
-        error = error + 2 * np.maximum(value, 0) * path.unsure[-2:] ** 2
+        error = error + 2 * np.maximum(value, 0) * path.unsure_in_all[-2:] ** 2
         for row, after, k in ((path.start, 1, 0), (path.end, 0, 1)):
             if row >= 0:
                 ends[row, after] += 1

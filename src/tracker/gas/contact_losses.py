@@ -66,7 +66,7 @@ def find_approaches(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: fl
             last, which = path.velocities.take(slice(-1, None)), int(balls[path.end, 0] != path.ball)
             before[path.end, which] = (last.even[0] + last.odd[0]) / 2
             gain = last.gain_even[0] + last.gain_odd[0] + 2 * last.gain_common[0]
-            spread[path.end, which] = noise**2 * gain / 4 + path.unsure[-1] ** 2
+            spread[path.end, which] = noise**2 * gain / 4 + path.unsure_in_all[-1] ** 2
     approach = before[:, 1] - before[:, 0]
     along, across = (approach * normal).sum(axis=1), approach[:, 0] * normal[:, 1] - approach[:, 1] * normal[:, 0]
     return along, across, np.sqrt(spread.sum(axis=1))
@@ -157,7 +157,7 @@ def measure_contact_losses(
     value[balls[:, 1] < 0, 1] = variance[balls[:, 1] < 0, 1] = 0.0
     for path in paths:
         own, error = measure_energies(path.velocities.take(slice(-2, None)), noise)
-        error = error + 2 * np.maximum(own, 0) * path.unsure[-2:] ** 2
+        error = error + 2 * np.maximum(own, 0) * path.unsure_in_all[-2:] ** 2
         for row, after, k in ((path.start, 1, 0), (path.end, 0, 1)):
             if row >= 0:
                 which = int(balls[row, 0] != path.ball)

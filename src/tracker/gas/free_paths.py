@@ -60,6 +60,11 @@ class FreePath:
     smoothed: Array | None = None
     sides: tuple[SideOfContact, ...] = ()
 
+    @property
+    def unsure_in_all(self) -> Array:
+        """How far the velocities (n + 2,) may be off by `unsure` and `smoothed`, for one path alone."""
+        return self.unsure if self.smoothed is None else np.asarray(np.hypot(self.unsure, self.smoothed))
+
 
 @dataclass(frozen=True, eq=False)
 class PathCuts:
@@ -123,8 +128,7 @@ def _fit_path(
         gain = np.full(len(chord), 2 / (last - first) ** 2)
         velocities = HalfVelocities(chord, chord.copy(), gain, gain.copy(), gain.copy())
         short = (early + late + step * (2 - sum(sure for _, sure in places))) / 4  # interpolation cuts the corners
-        unsure += np.hypot(*velocities.even[0]) * min(short / (last - first), 0.5)
-        smoothed = unsure.copy()
+        smoothed = np.full(len(chord), np.hypot(*chord[0]) * min(short / (last - first), 0.5))
     rows_of_slide = 4  # that show its friction
     if cuts.slides and ends[0] >= 0 and not (free < slide_end).sum() >= rows_of_slide:
         velocities.even[-2] = velocities.odd[-2] = np.nan  # the friction between contact and first row is not known
@@ -248,7 +252,7 @@ def _gather_starts(
             return np.full(2, np.nan), np.nan
         last = path.velocities.take(slice(-1, None))
         gain = last.gain_even[0] + last.gain_odd[0] + 2 * last.gain_common[0]
-        return (last.even[0] + last.odd[0]) / 2, float(np.hypot(noise * np.sqrt(gain) / 2, path.unsure[-1]))
+        return (last.even[0] + last.odd[0]) / 2, float(np.hypot(noise * np.sqrt(gain) / 2, path.unsure_in_all[-1]))
 
     for k in rows:
         path, (time, position) = paths[k], free[k]

@@ -46,3 +46,16 @@ def test_the_velocity_after_a_contact_is_that_of_the_slide_also_beside_a_kink_th
     assert np.median(np.abs(off[1:])) < 0.002
     assert np.hypot(*off[0]) < 0.02
     assert starts[0].usable
+
+
+def test_a_straight_line_between_contacts_is_too_slow_and_nothing_else():
+    """One position between contacts 3 ms apart, at 1 m/s. Positions within 1 ms of a contact do not count."""
+    frame = np.arange(40)
+    time, cov = frame / FPS, np.tile(np.eye(2) * NOISE**2, (40, 1, 1))
+    ball = BallTrack(particle=0, frame=frame, start=time, position=np.outer(time, [1.0, 0.0]), cov=cov, exposure=0.0)
+    contacts = pd.DataFrame({"t_s": [0.0385, 0.0415], "t_s_std": 1e-5, "particle1": 0, "particle2": -1})
+    paths = cut_free_paths([ball], contacts, PathCuts(10, np.full(2, 1e-3), 2.5 / FPS, NOISE, slides=False))
+    (line,) = (path for path in paths if min(path.start, path.end) >= 0)
+    assert not line.unsure.any()  # else the same error would count twice, as one for each ball and as one for all
+    np.testing.assert_allclose(line.smoothed, 1.0 * (1e-3 + 1e-3) / 4 / 3e-3)
+    np.testing.assert_allclose(line.unsure_in_all, line.smoothed)

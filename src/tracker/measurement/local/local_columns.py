@@ -301,17 +301,20 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> Loca
 def _find_common_error(errors: LocalErrors) -> float:
     """Find the size of what all contacts of a crowd share along n, over the normal speed.
 
-    It is the root mean square over all sizes that agree with the bias, and at most the bias with its error. Balls of a
+    A bias of more than three of its errors counts whole, with its error: a bent map or unequal balls may make it.
+    Below that it is the root mean square over all sizes that agree with the bias, and at most the same sum. Balls of a
     crowd meet in all places and directions. So the prior is the half of a normal distribution, with the size of what
     the four velocities of a single contact err by.
     """
-    usual = 2 * errors.error_n
+    whole, usual = float(np.hypot(errors.bias_n, errors.bias_std)), 2 * errors.error_n
+    if abs(errors.bias_n) > 3 * errors.bias_std:
+        return whole
     sizes = np.linspace(0.0, 6.0, 601) * usual
     variance = sizes**2 + errors.bias_std**2
     chance = -(sizes**2) / usual**2 / 2 - errors.bias_n**2 / variance / 2 - np.log(variance) / 2
     weights = np.exp(chance - chance.max())
     agreed = float(np.sqrt(weights @ sizes**2 / weights.sum()))
-    return min(agreed, float(np.hypot(errors.bias_n, errors.bias_std)))
+    return min(agreed, whole)
 
 
 def _is_of_many_masses(

@@ -133,6 +133,15 @@ def test_what_all_contacts_of_a_crowd_share_is_as_large_as_it_is(size, residual)
         assert claim < 0.6 * np.sqrt(np.mean(np.square(noise)))
 
 
+@pytest.mark.parametrize("bias", [-0.02, 0.02])
+def test_a_bias_that_the_balances_of_a_crowd_prove_counts_whole(bias):
+    """It is ten times what the velocities of a single contact err by, as where the map is bent."""
+    rows = [row | {"status": "crowd"} for row in draw_rows(30, 0.001, 0.001, bias, residual=1e-5)]
+    errors = calibrate_rows(rows)
+    assert abs(errors.bias_n) > 10 * errors.bias_std
+    assert errors.common_n == pytest.approx(abs(bias), rel=0.1)
+
+
 def test_many_balances_show_that_a_crowd_needs_no_allowance_for_its_motions():
     """Noise makes errors of 0.02 m/s. Motions may make 0.03 m/s, and make none: r would have 1.8 of its error."""
     rows = calibrate_set(draw_rows(120, 1e-5, 1e-5, 0.0, residual=0.02, allowed=0.03))
