@@ -8,7 +8,8 @@ tray for 0.5 s, and the first ball has 1.3 times the mass of the others; `equal`
 0.3 s with a friction of 0.03 + 0.4 exp(-u / 0.12 m/s) between them; `coulomb`: it is 0.1.
 
 Each line has the law of the recoil or of the friction that `discrepancy find` names, its sigma and its numbers, and for
-a heavier ball whether it is the right one. A friction that falls is right if it is named as such, not only as a rival.
+a heavier ball whether it is the right one, without a rival. A friction that falls is right if it is named as such, not
+only as a rival.
 
 `tilted` and `level` search the free stretches of the scene `crowd`, on a plate that is tilted by 1 mrad or not at all.
 """
@@ -92,6 +93,7 @@ def search_film(kind: str, seed: int) -> dict[str, Any]:
     truth = {"heavier": f"ball {heavy} is heavier by a share", "equal": "as the masses say"}
     truth |= {"falling": "Coulomb friction that falls with the slip speed"}
     right = claim.law == truth[kind] if kind in truth else "falling ball_friction" not in claim.causes
+    right = right and not (kind == "heavier" and claim.rivals)
     return {
         "law": claim.law,
         "causes": list(claim.causes),

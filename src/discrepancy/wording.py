@@ -67,7 +67,11 @@ def describe_verdict(found: SearchOutcome) -> str:
     """Describe the verdict, which with stretches is about the motion between contacts, and what the contacts show."""
     if not found.data.is_cut:
         return str(found.verdict)
-    shown = [f"{c.law} ({' or '.join(c.causes)}, {c.sigma:.1f} sigma)" for c in found.contacts if c.causes]
+    shown = [
+        f"{' or '.join((c.law, *c.rivals))} ({' or '.join(c.causes)}, {c.sigma:.1f} sigma)"
+        for c in found.contacts
+        if c.causes
+    ]
     return f"{found.verdict} between contacts" + (f"; contacts show: {'; '.join(shown)}" if shown else "")
 
 

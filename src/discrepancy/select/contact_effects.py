@@ -16,7 +16,8 @@ In a film of a crowd a third body may meet two balls within a frame. Then the es
 more than its error. So each contact of a crowd has a probability of 5 % to be odd, with a wide error. A law pays for
 each contact that it takes as odd. Two balls that meet alone get opposite impulses, whatever their masses, and a third
 body turns them. So the angle between the impulses counts in the price of an odd contact. Each ball may be the heavier
-one, and trying them all is paid for as well.
+one, and trying them all is paid for as well. One contact does not say which of its two balls that is. So another ball
+is a rival even if it could not be named alone.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.random_effects import fit_random_effects
 
 ODD_ERROR = 0.3  # standard error of restitution, friction, recoil and turn of such a contact
+MIN_EFFECT_SIGMA = 2.0  # of the effect of a ball's mass on a contact that counts as one that shows it
 # Price of an odd contact in -2 log likelihood. A third body disturbs 5 %: 2 of 48 and 1 of 33 in two films of thirty.
 ODD_PRICE = 2 * math.log(1 / 0.05 - 1)
 
@@ -43,14 +45,14 @@ ODD_PRICE = 2 * math.log(1 / 0.05 - 1)
 class ContactLaw:
     """A law of a quantity: its design (n, p) for n contacts, and the names of its numbers with their units.
 
-    causes: the effects that make this law. trials: how many laws of this kind are tried.
+    causes: the effects that make this law. trials: how many laws of this kind are tried, of which one at most holds.
     """
 
     name: str
     design: Callable[[Contacts], Array]
     numbers: tuple[tuple[str, str], ...]
     causes: tuple[str, ...] = ()
-    trials: int = 1
+    trials: int = 0
     limit: Callable[[Contacts], Array] | None = None  # (n, 1) of the quantity, where surfaces of balls stick
 
     def fit(self, contacts: Contacts, value: Array, errors: tuple[Array, Array], price: Array) -> _Fit:
@@ -72,10 +74,22 @@ class ContactLaw:
             found = _Fit.of(value - np.where(sticks, most, 0.0), *errors, free, price)
         return min(found, plain, key=lambda fit: fit.cost)
 
+    def describe(self, fit: _Fit) -> str:
+        """Give its name; a body that is heavier by a negative share is lighter."""
+        return self.name.replace("heavier", "lighter") if fit.coefficients.sum() < 0 else self.name
+
+    def is_shown(self, fit: _Fit, contacts: Contacts) -> bool:
+        """Decide whether more than one contact shows it, if it is one of several of its kind.
+
+        Such a contact has an error that is small beside the effect. A component of a group is half a contact.
+        """
+        shows = np.abs(fit.predict()) > MIN_EFFECT_SIGMA * np.sqrt(fit.variance)
+        return self.trials == 0 or float(contacts.share[shows].sum()) > 1
+
     @property
     def price(self) -> float:
         """The cost in -2 log likelihood of a law that is one of several of its kind."""
-        return 2 * math.log(self.trials)
+        return 2 * math.log(max(self.trials, 1))
 
 
 @dataclass(frozen=True)
@@ -96,6 +110,7 @@ class ContactClaim:
     scatter: standard deviation from contact to contact, beyond the errors.
     sigma: by the likelihood, over the simplest law.
     left_out_sigma: of the gain on contacts that are left out.
+    contacts: their number; a group of contacts that follow one another too fast counts as one.
     rivals: laws that are not worse by `SearchPolicy.rival_excluded_chi2`.
     odd: how many contacts of a crowd count with a wide error.
     """
@@ -220,20 +235,18 @@ def select_contact_laws(contacts: Contacts, least: int = 8) -> tuple[ContactClai
     for quantity, laws in LAWS.items():
         value, std = getattr(contacts, quantity), getattr(contacts, f"{quantity}_std")
         usable = np.isfinite(value) & np.isfinite(std)
-        if usable.sum() >= least:
+        if contacts.share[usable].sum() >= least:
             some = contacts.select(usable)
             found.append(_choose_law(quantity, some, _list_laws(quantity, some, laws), least))
     return tuple(found)
 
 
-def _list_laws(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], least: int = 2) -> Sequence[ContactLaw]:
-    """The laws of a quantity; each ball of one crowd that has `least` contacts may be heavier, instead of ball a."""
+def _list_laws(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw]) -> Sequence[ContactLaw]:
+    """The laws of a quantity; each ball of one crowd may be heavier, instead of ball a."""
     if quantity != "recoil" or not contacts.of_crowd.all():
         return laws
-    balls = np.unique(contacts.bodies[contacts.bodies >= 0])
-    counts = np.array([contacts.share[(contacts.bodies == ball).any(axis=1)].sum() for ball in balls])
     several = len(np.unique(contacts.clip)) > 1  # its tracks are other balls in the next clip
-    tried = [] if several else balls[counts >= least].tolist()
+    tried = [] if several else np.unique(contacts.bodies[contacts.bodies >= 0]).tolist()
     return laws[0], *(
         ContactLaw(
             f"ball {ball} is heavier by a share",
@@ -262,11 +275,12 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
         gain > 1
         and sigma > policy.min_claim_sigma
         and (quantity == "recoil" or bool((sign * fit.predict() >= 0).all()))
-        for fit, gain, sigma in zip(fits, gains, sigmas, strict=True)
+        and law.is_shown(fit, contacts)
+        for law, fit, gain, sigma in zip(laws, fits, gains, sigmas, strict=True)
     ]
     best = min((k for k in range(len(fits)) if k == 0 or usable[k]), key=lambda k: costs[k])
     limit = costs[best] + policy.rival_excluded_chi2
-    near = [k for k in range(1, len(fits)) if k != best and usable[k] and costs[k] < limit]
+    near = [k for k in range(1, len(fits)) if k != best and (usable[k] or laws[k].trials) and costs[k] < limit]
     fit, law = fits[best], laws[best]
     wide, own = np.where(fit.odd, np.hypot(std, ODD_ERROR), std), fit.design.any(axis=1)
     if own.all() or not own.any():
@@ -275,14 +289,14 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
         safe = std if quantity == "recoil" else wide
     return ContactClaim(
         quantity=quantity,
-        law=law.name,
+        law=law.describe(fit),
         causes=tuple(dict.fromkeys(c for k in (best, *near) for c in laws[k].causes)) if best else (),
         numbers=_fit_numbers(fit.value[own], safe[own], shared[own], fit.design[own], law.numbers),
         contacts=round(float(contacts.share.sum())),
         scatter=fit.scatter,
         sigma=sigmas[best],
         left_out_sigma=gains[best],
-        rivals=tuple(laws[k].name for k in near) if best else (),
+        rivals=tuple(laws[k].describe(fits[k]) for k in near) if best else (),
         mean=_fit_numbers(value, wide, shared, _ones(contacts), ((f"mean {quantity}", "1"),))[0],
         odd=int(fit.odd.sum()),
     )
