@@ -291,6 +291,7 @@ def _measure_collision(
         return row | {"status": read}, unknown
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
     row |= {"adequate": read.p_tied, "adequate_free": read.p_free, "agree": read.p_agree}
+    row |= {"model_rejected": read.is_model_rejected}
     flags = [*flags, *([] if again is None else [Flag.TOUCH_AGAIN])]
     flags += [] if read.rejected_law is None else [read.rejected_law]
     row |= {"flags": "|".join([*read.flags, *flags, *read.impossible_values])}
@@ -558,7 +559,8 @@ def make_empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any
     row |= make_empty_columns() | {"cov": "{}", "heading": np.nan, "x1": np.nan, "y1": np.nan}
     row |= dict.fromkeys((*BEFORE, *(f"{name}_std" for name in BEFORE[: len(SPIN)])), np.nan)
     row |= {"noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
-    row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}
+    row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan}
+    row |= {"model_rejected": False, "flags": ""}
     row |= dict.fromkeys(("time_left_s", "contact_duration_s", "contact_duration_s_std"), np.nan)
     row |= {"contact_first": -1, "contact_last": -1}
     row |= {"chi2": np.nan, "dof": 0, "dropped": 0}

@@ -8,7 +8,7 @@ from collections import Counter
 import numpy as np
 import pandas as pd
 
-from tracker.measurement.collision.adequacy import MEASURED, MISFIT, MISFIT_LEVEL, Flag
+from tracker.measurement.collision.adequacy import MEASURED, MISFIT, Flag
 from tracker.notes import Note, NoteKind
 
 _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
@@ -44,6 +44,7 @@ _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
     "or friction falls with the speed. The local estimate needs no common friction",
     Flag.STRAIGHT: "the balls move straight after the hit: r is that of straight lines, and nothing shows friction",
 }
+_BROKEN_LAWS = frozenset((Flag.LASTS_OR_SMALLER, Flag.LOSSES_DIFFER, Flag.FRICTION_CHANGES))
 SAME_BODIES = (
     "This takes a number for the same body in all clips. Tracks of films are numbered in each clip by itself: check "
     "them, or give ball_masses in the camera file"
@@ -57,10 +58,9 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
     the folder `results`.
     """
     notes = []
-    p_values = estimates[["adequate", "adequate_free", "agree"]].min(axis=1)
-    lasts = estimates["flags"].str.contains(Flag.LASTS_OR_SMALLER)
+    explained = estimates["flags"].str.split("|").map(_BROKEN_LAWS.intersection).astype(bool)
     # the flags tell of the other misfits
-    rejected = estimates[(estimates["status"] == MISFIT) & (p_values < MISFIT_LEVEL) & ~lasts]
+    rejected = estimates[(estimates["status"] == MISFIT) & estimates["model_rejected"].astype(bool) & ~explained]
     if len(rejected):
         measured = int(estimates["status"].isin(MEASURED).sum())
         median = float((rejected["chi2"] / rejected["dof"]).median())

@@ -67,17 +67,11 @@ VALUE_RANGES = {  # least and largest value of a quantity, with the flags of tho
 }
 
 
-MISFIT_LEVEL = 1e-6  # p-value below which a text says that the tracks reject a fit
-
-
 def list_disproving_values(row: Mapping[str, Any]) -> list[str]:
     """List the impossible values for which alone a collision is a misfit; none where its tracks reject the model."""
-    flags = str(row.get("flags", "")).split("|")
-    of_model = {Flag.LASTS_OR_SMALLER, Flag.LOSSES_DIFFER, Flag.FRICTION_CHANGES}
-    p_values = (row.get(name) for name in ("adequate", "adequate_free", "agree"))
-    rejected = any(p is not None and p < MISFIT_LEVEL for p in p_values)
-    if row["status"] != MISFIT or rejected or of_model & {*flags}:
+    if row["status"] != MISFIT or row.get("model_rejected", True):
         return []
+    flags = str(row.get("flags", "")).split("|")
     return [flag for flag in Flag if flag.is_impossible and flag in flags]
 
 

@@ -171,18 +171,23 @@ class CollisionFits:
         return find_impossible_values(self.tied_values, stretch, self.settings.impossible_sigma)
 
     @property
-    def is_misfit(self) -> bool:
-        """True if the data reject the tied fit, or its values are physically impossible.
+    def is_model_rejected(self) -> bool:
+        """True if the data reject the tied fit, whatever its values.
 
-        Values count only where the size of the errors is known. A contact that may last, or be one of smaller balls, is
-        a misfit too, and so are straight lines of unequal balls.
+        So does a contact that may last, or be one of smaller balls, and so do straight lines of unequal balls.
         """
         if self.lasting is not None and not self.lasting.is_certain:
             return True
-        if self.fits is not None and not self.fits.is_balanced:
-            return True
+        return not self.is_tied_accepted or (self.fits is not None and not self.fits.is_balanced)
+
+    @property
+    def is_misfit(self) -> bool:
+        """True if the data reject the tied fit, or its values are physically impossible.
+
+        Values count only where the size of the errors is known.
+        """
         impossible = self.noise_dof > 0 and any(flag.is_impossible for flag in self.impossible_values)
-        return not self.is_tied_accepted or impossible
+        return self.is_model_rejected or impossible
 
     @property
     def is_convincing(self) -> bool:

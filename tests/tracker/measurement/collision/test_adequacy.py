@@ -19,7 +19,7 @@ from tracker.cli import app
 from tracker.detection.link import Tracks
 from tracker.measurement import estimate
 from tracker.measurement.collision import collision_fit, noise_correlation
-from tracker.measurement.collision.adequacy import Flag, compute_p_value
+from tracker.measurement.collision.adequacy import Flag, compute_p_value, list_disproving_values
 from tracker.measurement.collision.collision_model import mean_positions, tied_to_free
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all_jointly, measure
@@ -264,6 +264,22 @@ def test_impossible_values_are_a_misfit_however_well_they_fit(own, changes, flag
     assert fit_all_jointly(table)["clips"] == 0
     said = [str(one) for one in list_messages(table) if one.kind is NoteKind.FLAG]  # and what the local estimate says
     assert sum(text.startswith(f"{flag} (1 collision): no two equal balls collide so") for text in said) == 1
+
+
+@pytest.mark.parametrize("level", [1e-3, 1e-6])
+def test_a_level_of_rejection_that_was_set_decides_what_a_misfit_is_said_to_break(own, level):
+    """r over 1, and claimed errors a little too small, so that the p-value lies between both levels."""
+    camera = truth_of(own, 0)[1]
+    tracks = follow_model(camera, NOISE, r=1.088)
+    tracks = replace(tracks, cov=tracks.cov / 1.32)
+    with without_local():
+        (row,) = measure(tracks, camera, FitSettings(rejection_level=level))
+    assert 1e-6 < row["adequate"] < 1e-3
+    rejected = level == 1e-3
+    assert (row["status"], row["model_rejected"]) == ("misfit", rejected)
+    assert list_disproving_values(row) == ([] if rejected else ["r over 1"])
+    said = [one.kind for one in list_messages(pd.DataFrame([row | {"clip": 0}]))]
+    assert (NoteKind.MISFIT in said) == rejected
 
 
 @pytest.mark.parametrize(("noise", "claims", "status"), [(1, True, "misfit"), (20, True, "ok"), (20, False, "ok")])

@@ -33,7 +33,11 @@ def make_row(status, tied=True, free=True, local=True, local_json="{}", **change
         (make_row("misfit", r_std=math.nan), "free", "the free fit agrees"),
         (make_row("misfit", r_std=math.nan, r_free=0.7), "local", "the tracks reject the tied fit"),
         (make_row("misfit", free=False), "local", "the tracks reject the tied fit"),
-        (make_row("misfit", free=False, adequate=0.8, flags="r over 1"), "local", "an impossible value: r over 1"),
+        (
+            make_row("misfit", free=False, model_rejected=False, flags="r over 1"),
+            "local",
+            "an impossible value: r over 1",
+        ),
         (make_row("misfit", r_std=math.nan, motion_local="glide"), "local", "the tracks reject the tied fit"),
         (
             make_row("misfit", free=False, misfit_local=True, chi2_local=40.0, dof_local=10.0),
