@@ -186,8 +186,9 @@ class CollisionFits:
 
         Values count only where the size of the errors is known.
         """
-        impossible = self.noise_dof > 0 and any(flag.is_impossible for flag in self.impossible_values)
-        return self.is_model_rejected or impossible
+        if self.is_model_rejected:
+            return True
+        return self.noise_dof > 0 and any(flag.is_impossible for flag in self.impossible_values)
 
     @property
     def is_convincing(self) -> bool:
