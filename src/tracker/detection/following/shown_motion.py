@@ -61,16 +61,20 @@ def _find_turns(glints: Glints) -> Array:
     """Changes of velocity (n, 2, 2), px per frame^2, each and the next one; NaN where the next is not clear."""
     least_frames, most_frames, enough_positions = 8, 40, 4000  # many bodies in few frames show as much
     least_bodies, steady_share = 3, 0.5  # two bodies may be exchanged; change of a lone one's velocity over the sum
-    seen, xy = np.unique(glints.frame), glints.xy
-    rows = np.split(np.argsort(glints.frame, kind="stable"), np.searchsorted(np.sort(glints.frame), seen[1:]))
+    order = np.argsort(glints.frame, kind="stable")
+    seen, starts, bodies = np.unique(glints.frame[order], return_index=True, return_counts=True)
+    ends, xy = starts + bodies, glints.xy
     wanted = min(max(least_frames, enough_positions * len(seen) // max(len(glints), 1)), most_frames)
     turns, lone, change, total = [np.empty((0, 2, 2))], list[Array](), list[float](), list[float]()
     for k in pick_spread(range(len(seen) - 2), wanted) if len(seen) > 2 else []:
-        places, times = [xy[part] for part in rows[k : k + 4]], np.diff(seen[k : k + 4])
-        counts = [len(place) for place in places[:3]]
+        counts = bodies[k : k + 3].tolist()
+        if min(counts) < least_bodies and max(counts) > 1:
+            continue
+        places = [xy[order[start:end]] for start, end in zip(starts[k : k + 4], ends[k : k + 4], strict=True)]
+        times = np.diff(seen[k : k + 4])
         if min(counts) >= least_bodies:
             turns.append(_measure_turns(_chain_steps(places, times), times))
-        elif max(counts) == 1:
+        else:
             steps = _chain_steps(places, times)
             lone.append(_measure_turns(steps, times))
             change.append(float(np.hypot(*(steps[1] - steps[0])[0])))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from synthcam_shared.arrays import Array, Flags, Ints
+from synthcam_shared.arrays import Array, Ints
 
 
 def find_unseen_turns(frame: Ints, ids: Ints, xy: Array, size: tuple[int, int], diameter: float) -> Ints:
@@ -31,12 +31,15 @@ def find_unseen_turns(frame: Ints, ids: Ints, xy: Array, size: tuple[int, int], 
         away = size[axis] - 1 - place[k, axis] if outward > 0 else place[k, axis]
         speed = outward * v[k - 1, axis]
         turned = (speed > least_speed) & (outward * back[:, axis] < -least_speed) & (away < diameter + speed)
-        if not _are_alone(order[k[turned & seen]], frame, xy, 1.5 * diameter).any():
-            out.append(k[turned & unseen])
+        hidden = k[turned & unseen]
+        if len(hidden) and not _is_one_alone(order[k[turned & seen]], frame, xy, 1.5 * diameter):
+            out.append(hidden)
     return np.unique(order[np.concatenate(out) + 1])
 
 
-def _are_alone(rows: Ints, frame: Ints, xy: Array, apart: float) -> Flags:
-    """Which of these detections have no other within this distance, px, in their frame."""
-    near = [(np.hypot(*(xy[frame == frame[row]] - xy[row]).T) < apart).sum() for row in rows.tolist()]
-    return np.array(near, dtype=np.int64) <= 1
+def _is_one_alone(rows: Ints, frame: Ints, xy: Array, apart: float) -> bool:
+    """True if one of these detections has no other within this distance, px, in its frame."""
+    by_frame = np.argsort(frame, kind="stable")
+    starts, ends = (np.searchsorted(frame[by_frame], frame[rows], side) for side in ("left", "right"))
+    near = (xy[by_frame[start:end]] - xy[row] for row, start, end in zip(rows, starts, ends, strict=True))
+    return any(int((np.hypot(*off.T) < apart).sum()) <= 1 for off in near)
