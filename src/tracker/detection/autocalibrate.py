@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -35,14 +34,14 @@ def estimate_unknown_settings(camera: Camera, plate: EmptyPlate, frames: Sequenc
     windows = _cut_bright_glints(camera, plate, frames)
     if windows is None:
         return camera if camera.psf_sigma is not None else replace(camera, psf_sigma=1.0)  # px, of a usual lens
-    windows = _start_at_glints(windows, camera)
+    windows, width = _start_at_glints(windows, camera), None
     if encoded or (wants_gain and "sensor.read_noise" in camera.assumed):
-        size = _codec_noise(windows, camera, plate.noise, level, wants_gain)
+        size, width = _codec_noise(windows, camera, plate.noise, level, wants_gain)
         camera = replace(camera, sensor=replace(camera.sensor, codec_noise=size))
     for _ in range(2 if wants_gain else 1):  # either shifts the other a little
         sigma = camera.sigma
         if "psf.sigma_px" in camera.assumed:
-            sigma = _width(windows, camera.sensor)
+            sigma, width = width or _width(windows, camera.sensor), None  # with another gain it is another
             lamp = camera.lamp_image_radius**2 / 4.0
             camera = replace(camera, psf_sigma=math.sqrt(max(sigma**2 - lamp, 0.01)))
         if wants_gain and sigma is not None:
@@ -118,17 +117,19 @@ def _start_at_glints(windows: GlintWindows, camera: Camera) -> GlintWindows:
     return replace(windows, start=np.where(inside[:, None], found.xy, 0.0))
 
 
-@lru_cache(maxsize=2)  # without an encoder's noise it is needed again
 def _width(windows: GlintWindows, sensor: SensorSpec) -> float:
     """The width of a glint, px, of greatest likelihood. 120 windows show it to 2 %, so that no more are fitted."""
     few = windows.take(np.unique(np.linspace(0, len(windows) - 1, min(len(windows), 120)).round().astype(int)))
     return _maximise(lambda sigma: _loglik(few, sigma, sensor), (0.4, 5.0))
 
 
-def _codec_noise(windows: GlintWindows, camera: Camera, noise: float, level: float, wants_gain: bool) -> float:
-    """Noise that an encoder adds beside glints, counts; 0 where the windows are as likely without it.
+def _codec_noise(
+    windows: GlintWindows, camera: Camera, noise: float, level: float, wants_gain: bool
+) -> tuple[float, float]:
+    """Noise that an encoder adds beside glints, counts, and the width of a glint with it, px.
 
-    It is spread over the blocks that contain something; a bare plate is smoothed.
+    The noise is 0 where the windows are as likely without it. It is spread over the blocks that contain something; a
+    bare plate is smoothed.
     """
     limits = (0.3, 100.0)  # of the plate's noise, within which it is searched
     least = 0.5  # of the plate's noise; less cannot be distinguished from none
@@ -141,16 +142,17 @@ def _codec_noise(windows: GlintWindows, camera: Camera, noise: float, level: flo
         given = None if "psf.sigma_px" in camera.assumed else camera.sigma
         return given or _width(windows, with_noise(size).sensor)
 
-    def likely(size: float) -> float:
+    def likely(size: float, sigma: float) -> float:
         if wants_gain:
-            return _gain(windows, width(size), with_noise(size), noise, level)[1]
-        return _loglik(windows, width(size), with_noise(size).sensor)
+            return _gain(windows, sigma, with_noise(size), noise, level)[1]
+        return _loglik(windows, sigma, with_noise(size).sensor)
 
     sigma = width(0.0)
     size = noise * _maximise(lambda by: _loglik(windows, sigma, with_noise(by * noise).sensor), limits)
     if size < least * noise:
-        return 0.0
-    return size if likely(size) > likely(0.0) + min_log_ratio else 0.0
+        return 0.0, sigma
+    own = width(size)
+    return (size, own) if likely(size, own) > likely(0.0, sigma) + min_log_ratio else (0.0, sigma)
 
 
 def _gain(windows: GlintWindows, sigma: float, camera: Camera, noise: float, level: float) -> tuple[SensorSpec, float]:

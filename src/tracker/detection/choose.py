@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ive
 
 from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.errors import InputError
@@ -112,13 +113,12 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     score: the number of round bodies of one size, times the share of the changed pixels that they cover. Shadows, hands
     and cues cover the rest. Grey is kept unless another plane has 1.5 times its score, or 1.2 times where bodies cover
     less than half of what changes in grey. That may still hide a ball. A plane in which shadows hardly show replaces it
-    if it has 1.3 times as many bodies, less the changes of their number. Bodies that cover little of what changes are
-    noise, whatever their number. If the camera knows the diameter of its balls, only bodies of about that size count.
-    The second result is a note with the reason; '' for grey that no plane rivals.
+    if it has 1.3 times as many bodies, less the changes of their number. Bodies that cover little of what changes, and
+    whose number changes as that of independent events does, are noise. If the camera knows the diameter of its balls,
+    only bodies of about that size count. The second result is a note with the reason; '' for grey that no plane rivals.
     """
     longest_side_px = 960  # of the pictures that are compared
     min_score = 3.0  # least bodies in the 15 frames that another channel than grey must show
-    min_share = 0.2  # of what changes in a plane, which bodies cover that are more than noise
     more_bodies = 1.3  # at 1.3 or more, grey hides at least one of four balls
     if frames.colours is None:
         return GREY, ""
@@ -131,7 +131,7 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     for name in (*CHANNELS[1:], *PLANES):
         make = read_plane(name, lambda: colours, white)
         found[name] = _rate_plane([make(picture) for picture in colours], expected)
-    noisy = {name for name, rating in found.items() if name != GREY and rating.share < min_share}
+    noisy = {name for name, rating in found.items() if name != GREY and rating.is_like_noise(len(picks))}
     rivals = found
     found = {name: rating for name, rating in rivals.items() if name not in noisy}
     most = max(rating.score for rating in found.values())
@@ -161,6 +161,17 @@ class _Rating:
     @property
     def score(self) -> float:
         return self.bodies * self.share
+
+    def is_like_noise(self, pictures: int) -> bool:
+        """True if the bodies cover little of what changes, and their number changes as that of independent events.
+
+        Balls beside an arm or a shadow cover little, too. Balls that start and stop change in number, too.
+        """
+        min_share, steady_share = 0.2, 0.6  # of what changes; of the changes of independent events
+        mean = self.bodies / pictures
+        # The mean difference of two Poisson numbers of equal mean (Skellam distribution)
+        independent = (pictures - 1) * 2 * mean * (ive(0, 2 * mean) + ive(1, 2 * mean))
+        return bool(self.share < min_share and self.changes > steady_share * independent)
 
     def describe(self) -> str:
         return f"{self.bodies} round bodies ({100 * self.share:.0f} % of what changes)"

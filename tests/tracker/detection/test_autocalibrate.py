@@ -1,5 +1,8 @@
 """Values that the camera file omits are estimated from the film, with a note."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 from tracker_film import CAMERA, collision, film
@@ -52,6 +55,21 @@ def test_fits_with_other_settings_take_few_steps(monkeypatch):
     make_view(shown(frames, {"psf", "lamp", "sensor"}, sensor={"bits": 8}))
     assert 40 < done.count(fit) < 100
     assert done.count(step) < 4 * done.count(fit)
+
+
+def test_no_windows_of_a_film_are_kept(monkeypatch):
+    """They would stay in the memory of a server, or of a batch of films."""
+    begin, kept = autocalibrate._start_at_glints, []
+
+    def start(*words):
+        windows = begin(*words)
+        kept.append(weakref.ref(windows))
+        return windows
+
+    monkeypatch.setattr(autocalibrate, "_start_at_glints", start)
+    make_view(shown(film(np.random.default_rng(0), collision(40, contact=18.3, speed=3.0)), {"psf", "lamp"}))
+    gc.collect()
+    assert [reference() for reference in kept] == [None]
 
 
 def test_twelve_bits_in_sixteen_are_known_by_their_ceiling():
