@@ -90,16 +90,10 @@ def run(
         raise InputError(f"{output}: lies in {films.path}, expected a folder outside it")
     if not output.exists():
         check_writable(output)
-    first, why = films.open_clip(0), ""
-    if films.channel is None:
-        first, why = select_channel(first, None)
+    films, first, said = _open_first_clip(films)
     if detector is not None:
         load_linker(detector, first.camera)
     edited.check_frames(first.number, first.frames.numbers)
-    films, said = replace(films, channel=first.channel), make_notes(NoteKind.CHANNEL, [why])
-    if films.camera is None and (films.path.is_file() or is_zarr(films.path)):
-        texts = [f"camera: {file}; --camera takes another" for file in films.camera_files()]
-        said += make_notes(NoteKind.ASSUMED, texts)
     clips, frames, notes = len(films), 0, Counter[Note]()
     with showing_steps("frames", progress) if clips == 1 else nullcontext():
         selected = select_detector(first) if detector is None else None
@@ -114,11 +108,7 @@ def run(
             progress(clips - len(todo), clips)
         # An edit that fits no track ends the run before the clips without edits are tracked.
         todo = sorted(todo, key=lambda i: not edited.of_clip(films.clips[i][0]))
-        sent = films
-        if scheduler:  # whose workers run in another folder
-            clip_paths = tuple((number, path.resolve()) for number, path in films.clips)
-            camera = films.camera.resolve() if films.camera is not None else None
-            sent = replace(films, path=films.path.resolve(), clips=clip_paths, camera=camera)
+        sent = _resolve_paths(films) if scheduler else films  # whose workers run in another folder
         job = functools.partial(_track_clip, sent, partial=partial, name=detector, selected=selected)
         work = functools.partial(job, settings=chosen, edits=edited, opened=opened)
         for done, (more, new) in enumerate(run_all_jobs(work, todo, workers, films.path, scheduler), 1):
@@ -130,6 +120,24 @@ def run(
     plan = _plan(films, detector, selected) | (edited.to_keys() if edited.edits else {})
     table, fresh = _fill_results(output, plan, chosen, [number for number, _ in films.clips], track)
     return ClipOutcome(table, clips, fresh, frames, dict(notes), films)
+
+
+def _open_first_clip(films: RecordingSource) -> tuple[RecordingSource, Recording, list[Note]]:
+    """Open the first clip, which chooses the channel of a source that has none: the source with it, the clip, notes."""
+    first, why = films.open_clip(0), ""
+    if films.channel is None:
+        first, why = select_channel(first, None)
+    notes = make_notes(NoteKind.CHANNEL, [why])
+    if films.camera is None and (films.path.is_file() or is_zarr(films.path)):
+        texts = [f"camera: {file}; --camera takes another" for file in films.camera_files()]
+        notes += make_notes(NoteKind.ASSUMED, texts)
+    return replace(films, channel=first.channel), first, notes
+
+
+def _resolve_paths(films: RecordingSource) -> RecordingSource:
+    clips = tuple((number, path.resolve()) for number, path in films.clips)
+    camera = films.camera.resolve() if films.camera is not None else None
+    return replace(films, path=films.path.resolve(), clips=clips, camera=camera)
 
 
 def measure_tables(
