@@ -105,9 +105,10 @@ LAYERS = {
     "tracker.measurement": [
         "noise",
         "positions track_repair random_effects",
+        "stretch_cuts",
         "collision",
         "camera_errors messages",
-        "joint_fit painter_behringer lone_ball stretch_cuts",
+        "joint_fit painter_behringer lone_ball",
         "local",
         "estimate",
     ],

@@ -41,14 +41,13 @@ def compute_steel_duration(diameter: float, closing: float) -> float:
 def estimate_hidden_duration(measured: float, std: float, shortest: float) -> float:
     """Estimate the rms duration of a contact from a measured one and its error, s.
 
-    The contact is as likely an instant, as in simulations, as it lasts. Then the prior of its duration is even in the
-    logarithm, from `shortest` to the longest of soft bodies. Bodies that are measured to touch at an instant thus keep
-    their errors nearly.
+    The prior is even in the logarithm of the duration, from `shortest` to the longest of soft bodies. A tenth of it is
+    an instant, which only simulations have.
     """
-    longest = 0.03  # s, of rubber
+    longest, instants = 0.03, 0.1  # s, of rubber; share of the prior
     lasting = np.geomspace(shortest, max(longest, 2 * shortest), 1000)
     every = np.append(lasting, 0.0)
     square = ((every - measured) / std) ** 2
     weight = np.exp((square.min() - square) / 2)
-    weight[-1] *= len(lasting)
+    weight[-1] *= len(lasting) * instants / (1 - instants)
     return float(np.sqrt(weight @ every**2 / weight.sum()))

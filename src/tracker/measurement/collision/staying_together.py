@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from synthcam_shared.arrays import Array, Index
+from synthcam_shared.arrays import Array, Index, Ints
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import fit_velocity
 from tracker.measurement.positions import BallTrack, measure_separation
+from tracker.measurement.stretch_cuts import CUTTER
 
 MAX_DISTANCE = 1.02  # diameters
 
@@ -53,7 +54,7 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float, *, may_roll:
     near = apart < diameter + depth + 3 * noise
     edges = np.flatnonzero(np.diff(np.concatenate([[0], near.astype(np.int8), [0]])))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        approach = _find_approach(time, apart, begin, noise) if end - begin >= min_frames else None
+        approach = _find_approach((a, b), frames, apart, begin, noise) if end - begin >= min_frames else None
         if approach is None:
             continue
         early, closing = approach
@@ -90,17 +91,38 @@ def find_staying_pairs(a: BallTrack, b: BallTrack, diameter: float, *, may_roll:
         )
 
 
-def _find_approach(time: Array, apart: Array, begin: int, noise: float) -> tuple[Index, float] | None:
-    """Rows (n,) before a touch that show an approach, as few as do, and the rate of the separation, m/s, under 0."""
+def _find_approach(
+    tracks: Sequence[BallTrack], frames: Ints, apart: Array, begin: int, noise: float
+) -> tuple[Index, float] | None:
+    """Rows (n,) before a touch that show an approach, as few as do, and the rate of the separation, m/s, under 0.
+
+    frames (n,), apart (n,): those in which both balls are seen, and their distances, m. Rows up to the last kink of
+    either ball, such as a hit at a wall or by a cue, do not count.
+    """
     least_sigma = 5.0
-    for frames in (8, 16, 32):
-        early = np.arange(max(begin - frames, 0), begin)
+    time = tracks[0].time[np.isin(tracks[0].frame, frames)]
+    since = max(_find_last_kink(track.where(np.isin(track.frame, frames[:begin]))) for track in tracks)
+    first = int(np.searchsorted(time, since, side="right"))
+    for count in (8, 16, 32):
+        early = np.arange(max(begin - count, first), begin)
         if len(early) < 3:
             return None
         closing, std = fit_slope(time[early], apart[early], noise)
         if closing < -least_sigma * std:
             return early, closing
     return None
+
+
+def _find_last_kink(track: BallTrack) -> float:
+    """Find when the path of a ball before a touch kinks last, s, with the margin of a kink; -inf if it does not."""
+    longest_history = 64  # positions
+    track = track.where(np.arange(len(track)) >= len(track) - longest_history)
+    noise, found = float(np.sqrt(np.trace(np.median(track.cov, axis=0)) / 2)), [-np.inf]
+    for positions in (4, 8, 16):  # the more, the smaller the kinks that noise does not hide
+        cutter = replace(CUTTER, kink_positions=positions, kink_sigma=5.0)
+        kinks = cutter.find_kinks(track.time, cutter.measure_kinks(track.time, track.position, noise))
+        found += [time + cutter.margin_frames * float(np.median(np.diff(track.time))) for time in kinks]
+    return max(found)
 
 
 def measure_first_parting(excess: Array, noise: float) -> float:

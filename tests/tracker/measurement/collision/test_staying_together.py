@@ -111,13 +111,25 @@ def test_balls_that_part_slowly_after_a_second_touch_do_not_stay(seed):
     assert not abs(row["r"] - hit.r) > 4 * row["r_std"]  # no value, or one that holds
 
 
-def find(hit, seed):
-    """Pairs that stay together, by the tracks alone."""
+def find(hit, seed, *, rests_until=0, may_roll=True):
+    """Pairs that stay together, by the tracks alone. The striker may rest until a frame, in which a cue hits it."""
     balls = []
     for particle, part in hit.tracks(np.random.default_rng(seed)).groupby("particle"):
         cov, frame = np.tile(np.eye(2) * hit.noise**2, (len(part), 1, 1)), part["frame"].to_numpy()
-        balls.append(BallTrack(particle, frame, frame / hit.fps, part[["x", "y"]].to_numpy(), cov, 1e-6))
-    return [pair for pair in find_staying_pairs(*balls, hit.diameter) if not pair.bounces]
+        way = part[["x", "y"]].to_numpy(copy=True)
+        if particle == 1:
+            way[:, 0] += hit.v0 / hit.fps * np.maximum(rests_until - frame, 0)
+        balls.append(BallTrack(particle, frame, frame / hit.fps, way, cov, 1e-6))
+    return [pair for pair in find_staying_pairs(*balls, hit.diameter, may_roll=may_roll) if not pair.bounces]
+
+
+@pytest.mark.parametrize("rests_until", [0, 68, 70, 72])
+@pytest.mark.parametrize("seed", range(3))
+def test_only_frames_since_the_last_kink_show_the_approach(seed, rests_until):
+    """A cue hits the striker 8 to 12 frames before the touch, in frame 80."""
+    hit = SoftHit(0.012, sticky=True, before=80, after=180)
+    [pair] = find(hit, seed, rests_until=rests_until, may_roll=False)
+    assert pair.speed == pytest.approx(hit.v0, abs=4 * pair.speed_std)
 
 
 @pytest.mark.parametrize("seed", range(2))
