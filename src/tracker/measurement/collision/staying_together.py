@@ -99,13 +99,15 @@ def _find_approach(
     frames (n,), apart (n,): those in which both balls are seen, and their distances, m. Rows up to the last kink of
     either ball, such as a hit at a wall or by a cue, do not count.
     """
-    least_sigma = 5.0
+    least_sigma, min_frames = 5.0, 3
+    if begin < min_frames:
+        return None
     time = tracks[0].time[np.isin(tracks[0].frame, frames)]
     since = max(_find_last_kink(track.where(np.isin(track.frame, frames[:begin]))) for track in tracks)
     first = int(np.searchsorted(time, since, side="right"))
     for count in (8, 16, 32):
         early = np.arange(max(begin - count, first), begin)
-        if len(early) < 3:
+        if len(early) < min_frames:
             return None
         closing, std = fit_slope(time[early], apart[early], noise)
         if closing < -least_sigma * std:
