@@ -35,9 +35,10 @@ def test_steel_balls_touch_for_as_long_as_hertz_forces_integrate_to(diameter, cl
 @pytest.mark.parametrize("measured", [-1.0, 0.0, 1.0, 2.0, 4.0])
 @pytest.mark.parametrize("std", [2e-5, 1e-4, 5e-4])
 def test_the_duration_is_that_of_drawn_contacts_that_measure_the_same(measured, std):
-    """A tenth of the contacts take no time; the logarithm of the others' duration is even from .1 to 30 ms."""
-    rng, shortest, n = np.random.default_rng(0), 1e-4, 400_000
-    lasts = np.where(rng.random(n) < 0.1, 0.0, shortest * (0.03 / shortest) ** rng.random(n))
+    """One in fifty is soft. The logarithm of the duration is even from .1 to .3 ms, and of soft ones up to 30 ms."""
+    rng, shortest, n = np.random.default_rng(0), 1e-4, 1_000_000
+    soft, share = rng.random(n) < 0.02, rng.random(n)
+    lasts = np.where(soft, 3e-4 * (0.03 / 3e-4) ** share, shortest * 3**share)
     drawn = np.sqrt(np.average(lasts**2, weights=norm.pdf(measured * std, lasts, std)))
     assert estimate_hidden_duration(measured * std, std, shortest) == pytest.approx(drawn, rel=0.05, abs=0.01 * std)
 
@@ -59,16 +60,9 @@ def test_a_contact_measured_as_the_shortest_or_less_is_hardly_an_instant(measure
 
 
 @pytest.mark.gate
-@pytest.mark.parametrize(
-    "hit",
-    [
-        SoftHit(2e-4, 0.79, v0=0.26, b=0.19, friction=0.24, fps=250.0, noise=1.8e-5, before=20, after=87),
-        SoftHit(9e-6, 0.9, v0=0.14, b=0.1, friction=0.1, fps=500.0, diameter=0.00238, noise=4e-7, before=40, after=150),
-    ],
-    ids=["50 mm", "2.38 mm"],
-)
-def test_the_shortest_contacts_of_steel_balls_are_within_the_errors_of_r(hit):
+def test_the_shortest_contacts_of_steel_balls_of_50_mm_are_within_the_errors_of_r():
     """Friction presses the balls together for as long as they touch: without that, r was up to 6 errors off."""
+    hit = SoftHit(2e-4, 0.79, v0=0.26, b=0.19, friction=0.24, fps=250.0, noise=1.8e-5, before=20, after=87)
     scores = list_scores(replace(hit, law="viscous"), range(8))[:, 0]
     assert np.isfinite(scores).all()
     assert np.sqrt(np.mean(scores**2)) < 1.6  # 2.5 sampling errors over 1
@@ -76,10 +70,10 @@ def test_the_shortest_contacts_of_steel_balls_are_within_the_errors_of_r(hit):
 
 
 @pytest.mark.gate
-def test_instants_keep_their_errors(monkeypatch):
-    hit = SoftHit(0.0, 0.79, v0=0.26, b=0.19, friction=0.24, fps=250.0, noise=1.8e-5, before=20, after=87)
+def test_small_balls_that_touch_for_an_instant_keep_their_errors(monkeypatch):
+    hit = SoftHit(0.0, 0.9, v0=0.14, b=0.1, friction=0.1, fps=500.0, diameter=0.00238, noise=4e-7, before=40, after=150)
     wide = list_scores(hit, range(6))[:, 1]
     monkeypatch.setattr(estimate, "add_contact_errors", lambda fit, values, camera, distance: values)
     narrow = list_scores(hit, range(6))[:, 1]
     assert (wide >= narrow).all()
-    assert np.median(wide / narrow) < 1.2
+    assert np.median(wide / narrow) < 1.02
