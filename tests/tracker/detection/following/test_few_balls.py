@@ -64,15 +64,20 @@ def test_states_and_links_are_those_of_the_likelihoods_to_the_last_bit(count):
     assert compare(xy, parts, frames, seen_twice(xy, parts, frames)) == len(frames) - 2
 
 
-@pytest.mark.parametrize("count", [2, 3, MAX_FEW_BALLS])
-def test_balls_that_are_not_found_are_followed_as_by_the_likelihoods(count):
+def count_frames_of_lost_balls(count):
+    """Compare 20 films in which balls are not found; count the frames followed."""
     rng, frames, followed = np.random.default_rng(count), list(range(40)), 0
     for _ in range(20):
         xy, parts = lay_rows(rng, count, frames)
         live = seen_twice(xy, parts, frames)
         parts = [part[: rng.integers(1, count + 1)] if k > 2 else part for k, part in enumerate(parts)]
         followed += compare(xy, parts, frames, live)
-    assert followed > 20 * 4
+    return followed
+
+
+@pytest.mark.parametrize("count", [2, 3, MAX_FEW_BALLS])
+def test_balls_that_are_not_found_are_followed_as_by_the_likelihoods(count):
+    assert count_frames_of_lost_balls(count) > 20 * 4
 
 
 def test_hidden_hits_and_a_common_fall_are_followed_as_by_the_likelihoods(monkeypatch):
@@ -80,8 +85,8 @@ def test_hidden_hits_and_a_common_fall_are_followed_as_by_the_likelihoods(monkey
     bounds = (-150.0, -80.0, 60.0 * MAX_FEW_BALLS, 80.0)
     falling = replace(NOISE, fall=(0.003, -0.002), hidden_hits=True, bounds=bounds)
     monkeypatch.setitem(globals(), "NOISE", falling)
-    test_balls_that_are_not_found_are_followed_as_by_the_likelihoods(3)
-    test_what_is_followed_in_doubt_is_what_the_likelihoods_say()
+    assert count_frames_of_lost_balls(3) > 20 * 4
+    assert count_frames_in_doubt() > 400 * 2
 
 
 def test_balls_that_part_are_followed_as_by_the_likelihoods():
@@ -100,8 +105,8 @@ def test_balls_that_part_are_followed_as_by_the_likelihoods():
     assert followed > 100 * 3
 
 
-def test_what_is_followed_in_doubt_is_what_the_likelihoods_say():
-    """Detections off the way by some errors, and false ones near a ball in place of a lost one."""
+def count_frames_in_doubt():
+    """Compare 400 films, detections off the way by some errors, and false ones near a ball in place of a lost one."""
     rng, frames, followed = np.random.default_rng(11), list(range(12)), 0
     for _ in range(400):
         xy, parts = lay_rows(rng, 2, frames)
@@ -112,7 +117,11 @@ def test_what_is_followed_in_doubt_is_what_the_likelihoods_say():
             if rng.random() < 0.3:
                 xy[part[0]] = xy[part[1]] + rng.exponential(1.5) * rng.standard_normal(2)
         followed += compare(xy, parts, frames, live)
-    assert followed > 400 * 2
+    return followed
+
+
+def test_what_is_followed_in_doubt_is_what_the_likelihoods_say():
+    assert count_frames_in_doubt() > 400 * 2
 
 
 def test_they_stop_where_a_frame_is_not_plain():
