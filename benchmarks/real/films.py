@@ -21,6 +21,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +32,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.cluster.vq import kmeans2
-from scipy.ndimage import find_objects, label
+from scipy.ndimage import binary_closing, find_objects, label, maximum_filter1d
 from scipy.optimize import linear_sum_assignment
 
 from benchmarks.harness import program, save
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 Frames = NDArray[np.int16]
 REACH_PX = 8.0
 
@@ -78,12 +80,17 @@ def find_regions(mask: Mask) -> list[tuple[Mask, Floats]]:
     return sorted(out, key=lambda one: -len(one[1]))
 
 
+def find_repeated(frames: Frames) -> Mask:
+    """Find frames (n,) that change by less than a fifth of the largest change of their ten neighbours."""
+    change = np.array([np.abs(later - frame).mean() for frame, later in pairwise(frames)])
+    return np.array([False, *(change < 0.2 * maximum_filter1d(change, 11))])
+
+
 def mark_largest(colour: Callable[[Frames], Mask], least: int) -> Callable[[Frames], Iterator[Marks]]:
     """Mark the largest region of a colour, if it has at least so many pixels; a frame that repeats has no mark."""
 
     def mark(frames: Frames) -> Iterator[Marks]:
-        for number, frame in enumerate(frames):
-            repeats = number > 0 and np.abs(frame - frames[number - 1]).mean() < 0.05
+        for frame, repeats in zip(frames, find_repeated(frames), strict=True):
             mask = colour(frame)
             regions = [] if repeats else [pixels for _, pixels in find_regions(mask)[:1] if len(pixels) >= least]
             centres = np.array([pixels.mean(axis=0) for pixels in regions]).reshape(-1, 2)
@@ -93,15 +100,21 @@ def mark_largest(colour: Callable[[Frames], Mask], least: int) -> Callable[[Fram
 
 
 def mark_single_discs(colour: Callable[[Frames], Mask]) -> Callable[[Frames], Iterator[Marks]]:
-    """Mark regions with the usual number of pixels, to a fifth; discs that touch make larger ones, without marks."""
+    """Mark regions with the usual number of pixels, to a fifth.
+
+    Discs that touch make larger ones, and those that the rim cuts are not whole: both have no mark. A line of a grid
+    does not divide a disc.
+    """
 
     def mark(frames: Frames) -> Iterator[Marks]:
         for frame in frames:
-            regions = [(region, pixels) for region, pixels in find_regions(colour(frame)) if len(pixels) > 30]
+            mask = binary_closing(np.pad(colour(frame), 2), iterations=2)[2:-2, 2:-2]
+            regions = [(region, pixels) for region, pixels in find_regions(mask) if len(pixels) > 30]
             usual = np.median([len(pixels) for _, pixels in regions])
-            centres, unmarked = [], np.zeros(frame.shape[:2], bool)
+            centres, unmarked = [], np.zeros(mask.shape, bool)
             for region, pixels in regions:
-                if abs(len(pixels) / usual - 1) < 0.2:
+                inside = pixels.min() > 0 and (pixels.max(axis=0) < np.array(mask.shape[::-1]) - 1).all()
+                if inside and abs(len(pixels) / usual - 1) < 0.2:
                     centres.append(pixels.mean(axis=0))
                 else:
                     unmarked |= region
@@ -156,7 +169,11 @@ FILMS = (
     MarkedFilm("four balls", "self-assembly", "open_cv/SampleVideos/4Ball-short1.mp4", mark_by_background, frames=200),
     MarkedFilm("pendulum", "Pendulum_Oscillatory_Motion", "pendulum.mp4", mark_largest(is_red, 300)),
     MarkedFilm(
-        "pendulum, its colour given", "Pendulum_Oscillatory_Motion", "pendulum.mp4", mark_largest(is_red, 300), "--colour red"
+        "pendulum, its colour given",
+        "Pendulum_Oscillatory_Motion",
+        "pendulum.mp4",
+        mark_largest(is_red, 300),
+        "--colour red",
     ),
     MarkedFilm("20 discs", "phys5730", "collisions.mp4", mark_single_discs(is_blue), frames=100),
     MarkedFilm("10 discs", "yupi_examples", "resources/videos/demo.avi", mark_single_discs(is_dark), frames=100),
@@ -165,26 +182,28 @@ FILMS = (
 )
 
 
-def read_film(film: MarkedFilm, clone: Path, folder: Path) -> tuple[Path, Frames]:
-    """Copy a film out of its repository and decode it."""
+def read_film(film: MarkedFilm, clone: Path, folder: Path) -> tuple[Path, Frames, Ints]:
+    """Copy a film out of its repository and decode it; the frames, and their numbers by the time stamps."""
     copy = folder / Path(film.path).name
     blob = subprocess.run(["git", "-C", clone, "show", f"HEAD:{film.path}"], capture_output=True, check=True)
     copy.write_bytes(blob.stdout)
-    frames = []
+    frames, times = [], []
     with av.open(str(copy)) as container:
         for picture in container.decode(video=0):
             if film.frames is not None and len(frames) == film.frames:
                 break
             frames.append(picture.to_ndarray(format="rgb24").astype(np.int16))
-    return copy, np.array(frames)
+            times.append(float(picture.pts * picture.time_base))
+    since = np.array(times) - times[0]
+    return copy, np.array(frames), np.rint(since / np.median(np.diff(since))).astype(np.int64)
 
 
-def compare(tracks: pd.DataFrame, film: MarkedFilm, frames: Frames) -> dict[str, Any]:
+def compare(tracks: pd.DataFrame, film: MarkedFilm, frames: Frames, numbers: Ints) -> dict[str, Any]:
     """Count the positions that lie on a mark, the marks without one, and the positions without a mark."""
     found = missed = false = 0
     squares = 0.0
     by_frame = {int(number): rows[["x", "y"]].to_numpy() for number, rows in tracks.groupby("frame")}
-    for number, marks in enumerate(film.mark(frames)):
+    for number, marks in zip(numbers.tolist(), film.mark(frames), strict=True):
         places = by_frame.get(number, np.empty((0, 2)))
         distance = np.linalg.norm(marks.centres[:, None] - places, axis=-1)
         row, column = linear_sum_assignment(np.minimum(distance, REACH_PX))
@@ -202,7 +221,7 @@ def compare(tracks: pd.DataFrame, film: MarkedFilm, frames: Frames) -> dict[str,
 def measure(film: MarkedFilm, clone: Path) -> dict[str, Any]:
     """Track one film by the command, and compare the result with the marks."""
     with tempfile.TemporaryDirectory() as scratch:
-        copy, frames = read_film(film, clone, Path(scratch))
+        copy, frames, numbers = read_film(film, clone, Path(scratch))
         cut = [] if film.frames is None else ["--frames", f"0:{film.frames}"]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         words = ["track", copy, "-o", Path(scratch) / "results", *film.options.split(), *cut]
@@ -212,7 +231,7 @@ def measure(film: MarkedFilm, clone: Path) -> dict[str, Any]:
             return {"status": done.stderr.strip()[-200:]}
         (table,) = (Path(scratch) / "results").rglob("tracks.parquet")
         tracks = pd.read_parquet(table)
-        figures = compare(tracks, film, frames)
+        figures = compare(tracks, film, frames, numbers)
         used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         return figures | {"tracks": int(tracks["particle"].nunique()), "seconds": used}
 
@@ -238,7 +257,9 @@ def main() -> None:
         clone = clones[film.name]
         assert clone is not None
         out[film.name] = figures = measure(film, clone)
-        cells = [f"{figures[c]:.3g}" if isinstance(figures.get(c), float) else str(figures.get(c, "-")) for c in columns]
+        cells = [
+            f"{figures[c]:.3g}" if isinstance(figures.get(c), float) else str(figures.get(c, "-")) for c in columns
+        ]
         table.add_row(f"{film.name} {film.options}".strip(), *cells)
         print(film.name, figures, flush=True)
     Console(width=140).print(table)
