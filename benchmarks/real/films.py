@@ -187,13 +187,14 @@ def read_film(film: MarkedFilm, clone: Path, folder: Path) -> tuple[Path, Frames
     copy = folder / Path(film.path).name
     blob = subprocess.run(["git", "-C", clone, "show", f"HEAD:{film.path}"], capture_output=True, check=True)
     copy.write_bytes(blob.stdout)
-    frames, times = [], []
+    frames: list[Frames] = []
+    times: list[float] = []
     with av.open(str(copy)) as container:
         for picture in container.decode(video=0):
             if film.frames is not None and len(frames) == film.frames:
                 break
             frames.append(picture.to_ndarray(format="rgb24").astype(np.int16))
-            times.append(float(picture.pts * picture.time_base))
+            times.append(float(picture.time))
     since = np.array(times) - times[0]
     return copy, np.array(frames), np.rint(since / np.median(np.diff(since))).astype(np.int64)
 
@@ -202,7 +203,7 @@ def compare(tracks: pd.DataFrame, film: MarkedFilm, frames: Frames, numbers: Int
     """Count the positions that lie on a mark, the marks without one, and the positions without a mark."""
     found = missed = false = 0
     squares = 0.0
-    by_frame = {int(number): rows[["x", "y"]].to_numpy() for number, rows in tracks.groupby("frame")}
+    by_frame = {number: rows[["x", "y"]].to_numpy() for number, rows in tracks.groupby("frame")}
     for number, marks in zip(numbers.tolist(), film.mark(frames), strict=True):
         places = by_frame.get(number, np.empty((0, 2)))
         distance = np.linalg.norm(marks.centres[:, None] - places, axis=-1)
@@ -224,7 +225,7 @@ def measure(film: MarkedFilm, clone: Path) -> dict[str, Any]:
         copy, frames, numbers = read_film(film, clone, Path(scratch))
         cut = [] if film.frames is None else ["--frames", f"0:{film.frames}"]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        words = ["track", copy, "-o", Path(scratch) / "results", *film.options.split(), *cut]
+        words = ["track", str(copy), "-o", f"{scratch}/results", *film.options.split(), *cut]
         done = subprocess.run([program("tracker"), *words], capture_output=True, text=True, check=False)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         if done.returncode:
