@@ -1,0 +1,245 @@
+"""Cases of new users: who strikes, detectors of one's own, units, other datasets, lossy copies, and Python."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import tifffile
+
+from benchmarks.tracker.ordinary.case import Case, Judge, Outcome, Program, Words, run_to_the_end
+from benchmarks.tracker.ordinary.films import write_tiff
+from benchmarks.tracker.ordinary.judges import Found, Measured, Printed, Refused, Said
+from benchmarks.tracker.ordinary.sources import film_glints, know_table, list_rows, measure, track, write_camera
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
+from synthcam.scene.scene import read_scene
+
+video: Any = importlib.import_module("tracker_video")
+SMALL = ("camera.size=[200,160]", "camera.scale=3e-4", "timing.frames=60", "timing.contact_frame=20")
+TEN_LINES = '''import numpy as np
+from scipy import ndimage
+
+
+def spot(frame):
+    """Centroids of the spots that are brighter than half the brightest pixel."""
+    light = frame - np.median(frame)
+    labels, count = ndimage.label(light > max(light.max() / 2, 30))
+    centres = ndimage.center_of_mass(light, labels, range(1, count + 1))
+    return [(x, y) for y, x in centres]
+'''
+READ = """import json, sys
+import numpy as np
+import pandas as pd
+import synthcam
+import tracker
+
+camera = json.load(open("camera.json"))
+"""
+
+
+def write_table(path: Path, strikers: tuple[int, ...] = (1, 0, 1), named: bool = False, scale: float = 1.0) -> None:
+    """Clips of two balls, of which either strikes; their numbers, or names that follow the bodies."""
+    rng, frame, parts = np.random.default_rng(0), np.arange(40), []
+    for clip, striker in enumerate(strikers):
+        moving = 100 + 9.0 * np.minimum(frame, 20) + 4.0 * np.maximum(frame - 20, 0)
+        struck = 294 + 5.0 * np.maximum(frame - 20, 0)
+        x = np.concatenate([moving, struck] if striker == 0 else [struck, moving]) + rng.normal(0, 0.05, 80)
+        ball = np.repeat(["a", "b"] if named else [0, 1], 40)
+        rows = {"clip": clip, "frame": np.tile(frame, 2), "particle": ball, "x": scale * x}
+        parts.append(pd.DataFrame({**rows, "y": scale * (240 + rng.normal(0, 0.05, 80))}))
+    pd.concat(parts).to_csv(path, index=False)
+
+
+WIDE = {"fps": 250.0, "size": [640, 480], "scale": 1.6e-4, "ball_diameter": 2.4e-3}
+
+
+def make_dataset(folder: Path, seed: int = 0) -> Path:
+    """A dataset of one clip without frames."""
+    scene = read_scene("painter_behringer", SMALL)
+    generate_dataset(GenerationPlan((scene,), 1, seed, False), folder, 1, lambda done, of: None)
+    return folder
+
+
+def score_positions(point: str, seed: int) -> Callable[[Path], Words]:
+    """True positions of a dataset as a table, scored against a dataset of another seed, or as if they were centres."""
+
+    def make(folder: Path) -> Words:
+        make_dataset(folder / "dataset", 0)
+        clip = make_dataset(folder / "other", seed) if seed else folder / "dataset"
+        true = pd.read_parquet(folder / "dataset/clips/000000/truth/tracks.parquet").query("visible")
+        table = true[["frame", "particle"]].assign(x=true[f"{point}_x_px"], y=true[f"{point}_y_px"])
+        table.to_csv(folder / "t.csv", index=False)
+        return ["tracker", "score", "t.csv", "--truth", clip.name, "-o", "new"]
+
+    return make
+
+
+def run_python(script: str, prepare: Callable[[Path], object] = lambda folder: None) -> Callable[[Path], Words]:
+    """A script that reads camera.json and t.csv."""
+
+    def make(folder: Path) -> Words:
+        write_camera(folder, know_table())
+        pd.DataFrame(list_rows(), columns=["frame", "particle", "x", "y"]).to_csv(folder / "t.csv", index=False)
+        prepare(folder)
+        return ["python", "-c", READ + script]
+
+    return make
+
+
+def track_with(detector: str) -> Callable[[Path], Words]:
+    """The film of glints, tracked by a detector of the user on the command line."""
+
+    def write(folder: Path) -> Path:
+        (folder / "spot.py").write_text(TEN_LINES)
+        return write_tiff("film.tif", lambda frames: frames)(folder)
+
+    return track(write, film_glints, "--detector", detector)
+
+
+def write_copy(name: str, codec: str, pixels: str, **options: str) -> Callable[[Path], Path]:
+    """A lossy copy of the film of glints."""
+    return lambda folder: Path(
+        video.encode(folder / name, film_glints().frames, codec, pixels, rate=60, options=options, full=True)
+    )
+
+
+def write_beside(folder: Path) -> Words:
+    """A film and camera.json in one folder, tracked without --camera."""
+    write_camera(folder, film_glints().camera)
+    tifffile.imwrite(folder / "film.tif", film_glints().frames)
+    return ["tracker", "track", "film.tif", "-o", "new", "--no-pages"]
+
+
+def generate_too_fast(folder: Path) -> Words:
+    """A scene of 30 m/s."""
+    return ["synthcam", "generate", "painter_behringer", "-o", "new", "--no-video", "--set", "launch.v0=30",
+            *(word for key in SMALL[:2] for word in ("--set", key))]  # fmt: skip
+
+
+def extend_dataset(program: Program, folder: Path, words: Words) -> Outcome:
+    """Make four clips, then six in the same folder."""
+    base = [*words, *(word for key in SMALL for word in ("--set", key))]
+    first = run_to_the_end(program, folder, [*base, "--clips", "4"])
+    before = {p.name: p.read_bytes() for p in sorted(folder.glob("new/clips/*/truth/tracks.parquet"))}
+    second = run_to_the_end(program, folder, [*base, "--clips", "6"])
+    after = [p.read_bytes() for p in sorted(folder.glob("new/clips/*/truth/tracks.parquet"))]
+    kept = set(before.values()) <= set(after)
+    out = f'{{"clips": {len(after)}, "kept": {str(kept).lower()}}}'
+    return Outcome(
+        status=second.status, out=out, err=first.err + second.err, folder=folder, seconds=first.seconds + second.seconds
+    )
+
+
+PYTHON: dict[str, tuple[str, Judge]] = {
+    "measure_all of a table of three clips": (
+        """
+one = pd.read_csv("t.csv")
+table = pd.concat([one.assign(clip=clip) for clip in (3, 7)])
+results = tracker.measure_all(table, camera)
+every = pd.concat([result.estimates for result in results])
+print(json.dumps({"clips": every["clip"].tolist(), "r": every["r"].mean()}))
+""",
+        Printed({"clips": [3, 7], "r": 0.903}, near=1e-3),
+    ),
+    "errors that name arguments, not options": (
+        """
+try:
+    tracker.measure([1, 2], camera)
+except tracker.measure.__globals__["InputError"] as error:
+    print(json.dumps({"error": str(error), "options": "--" in str(error)}))
+""",
+        Printed({"error": "tracks: of type list, expected DataFrame", "options": False}),
+    ),
+    "a scene built in Python, and a dataset opened": (
+        """
+scene = synthcam.Scene.build(timing={"frames": 5, "contact_frame": 2}, camera={"size": [64, 48]})
+clip = scene.draw(seed=1)
+opened = synthcam.open_dataset("dataset")
+first = next(iter(opened))
+print(json.dumps({"frames": len(clip.tracks["frame"].unique()), "clips": len(opened), "fps": first.camera["fps"]}))
+""",
+        Printed({"frames": 5, "clips": 1, "fps": 250.0}),
+    ),
+    "find takes a table and a dict": (
+        """
+import discrepancy
+scene = synthcam.Scene.read("painter_behringer")
+parts = []
+for k in range(6):
+    true = scene.draw(k).tracks
+    rng = np.random.default_rng(k)
+    xy = true[["x_mean_px", "y_mean_px"]].to_numpy() + 0.02 * rng.standard_normal((len(true), 2))
+    rows = {"clip": k, "frame": true.frame, "particle": true.particle, "x": xy[:, 0], "y": xy[:, 1]}
+    parts.append(pd.DataFrame(rows))
+camera = {name: scene.draw(0).camera_json[name] for name in ("fps", "size", "scale", "ball_diameter")}
+table = pd.concat(parts).dropna()
+found = discrepancy.find(table, "painter_behringer", camera=camera, minutes=0.0)
+print(json.dumps({"verdict": found.verdict, "clips": found.document()["clips"]["fitted"]}))
+""",
+        Printed({"verdict": "none"}),
+    ),
+    "a detector that is a function": (
+        """
+from spot import spot
+import tifffile
+result = tracker.track(tifffile.imread("film.tif"), json.load(open("film.json")), detector=spot)
+print(json.dumps({"rows": len(result.tracks)}))
+""",
+        Printed({"rows": 120}),
+    ),
+}
+
+
+def prepare_python(folder: Path) -> None:
+    """The files that scripts read."""
+    (folder / "spot.py").write_text(TEN_LINES)
+    tifffile.imwrite(folder / "film.tif", film_glints().frames)
+    (folder / "camera.json").rename(folder / "table.json")
+    write_camera(folder, film_glints().camera)
+    (folder / "camera.json").rename(folder / "film.json")
+    (folder / "table.json").rename(folder / "camera.json")
+    make_dataset(folder / "dataset")
+
+
+def list_cases() -> list[Case]:
+    """Cases of new users."""
+    glints = film_glints()
+    lossy = partial(Measured, {"r_free": glints.truth["r"]}, ("ok", "misfit"))
+    near = Found(glints.places, near_px=0.5)
+    table = partial(measure, "t.csv", **WIDE)
+    cases: dict[str, tuple[Callable[[Path], Words], Judge]] = {
+        "clips in which either number strikes": (table(write_table), Said(("add a column striker",))),
+        "clips whose balls have names": (
+            table(lambda path: write_table(path, named=True)), Said(("(ball a) strikes in 1 clip",)),
+        ),
+        "--detector spot.py, ten lines": (track_with("spot.py"), near),
+        "--detector spot:spot": (track_with("spot:spot"), near),
+        "positions in millimetres": (
+            table(lambda path: write_table(path, (1,), scale=0.16)), Refused(("positions look like mm", "--unit mm")),
+        ),
+        "v0: 30": (generate_too_fast, Said(("lower launch.v0",))),
+        "a film with camera.json beside it": (write_beside, Said(("camera.json",))),
+        "glints scored as centres": (score_positions("glint", 0), Said(("--point glint",))),
+        "the truth of another dataset": (score_positions("x_mean", 5), Refused(("the dataset that was tracked",))),
+        "H.264 copy of a film of glints": (
+            track(write_copy("film.mp4", "libx264", "yuv420p", crf="23")), lossy(says=("compress",)),
+        ),
+        "MJPEG copy of a film of glints": (
+            track(write_copy("film.avi", "mjpeg", "yuvj420p", qmin="3", qmax="3")), lossy(says=("compress",)),
+        ),
+    }  # fmt: skip
+    scripts = {
+        kind: (run_python(script, prepare_python), judge) for kind, (script, judge) in PYTHON.items()
+    }  # fmt: skip
+    return [
+        *(Case("users", kind, make, judge) for kind, (make, judge) in cases.items()),
+        *(Case("python", kind, make, judge) for kind, (make, judge) in scripts.items()),
+        Case("users", "--clips 6 extends a dataset of 4", lambda folder: [
+            "synthcam", "generate", "painter_behringer", "-o", "new", "--no-video"],
+            Printed({"clips": 6, "kept": True}), run=extend_dataset),
+    ]  # fmt: skip
