@@ -74,7 +74,7 @@ class Program:
     def environment(self) -> dict[str, str]:
         """Environment variables of its commands."""
         paths = [str(self.root / "src"), *filter(None, [os.environ.get("PYTHONPATH")])]
-        own = {"PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": "1", "COLUMNS": "200"}
+        own = {"PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": "", "COLUMNS": "200"}
         return os.environ | ONE_THREAD | own
 
     def start(self, words: Words, folder: Path, **streams: object) -> subprocess.Popen[bytes]:

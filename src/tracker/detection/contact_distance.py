@@ -24,8 +24,11 @@ class ContactDistance:
     instant: float
 
 
-def contact_distances(tracks: Tracks) -> list[ContactDistance]:
-    """Find the contacts between the balls of one clip at which their distance can be measured."""
+def contact_distances(tracks: Tracks, most: int | None = None) -> list[ContactDistance]:
+    """Find the contacts between the balls of one clip at which their distance can be measured.
+
+    most: of two balls that approach each other more often, only so many of the nearest approaches are looked at.
+    """
     out = []
     shaded = np.array([PositionFlag.SHADED.word in words for words in tracks.flags], dtype=bool)
     lasting = tracks.fixed * shaded[:, None, None]
@@ -35,7 +38,11 @@ def contact_distances(tracks: Tracks) -> list[ContactDistance]:
         frame, i, j = np.intersect1d(tracks.frame[one], tracks.frame[two], assume_unique=True, return_indices=True)
         gap = tracks.xy[two[j]] - tracks.xy[one[i]]
         cov, fixed = (c[two[j]] + c[one[i]] for c in (tracks.cov - lasting, lasting))
-        contacts = (_touch(frame, gap, cov, fixed, k) for k in _nearest(np.hypot(*gap.T)))
+        distance = np.hypot(*gap.T)
+        rows = _nearest(distance)
+        if most is not None and len(rows) > most:
+            rows = np.sort(rows[np.argsort(distance[rows], kind="stable")[:most]])
+        contacts = (_touch(frame, gap, cov, fixed, k) for k in rows)
         out += [contact for contact in contacts if contact is not None]
     return out
 

@@ -15,6 +15,7 @@ from tracker.tables.table import LENGTH_UNITS
 
 CommonFrames: TypeAlias = tuple[Any, Any, Any, Any]
 MAX_CLIPS = 20  # whose contacts are looked at
+MAX_APPROACHES = 100  # of two balls that are looked at: the nearest, because a contact is one
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ def _touch(tracks: Tracks, pair: CommonFrames) -> list[tuple[float, float]]:
     scaled = replace(taken, x=factor * taken.x, y=factor * taken.y, cov=cov, fixed=np.zeros_like(taken.cov))
     # two balls whose numbers are exchanged seem to pass through each other
     least = 0.4 * factor * float(np.hypot(*(one - two).T).min())
-    found = [contact for contact in contact_distances(scaled) if contact.distance > least]
+    found = [contact for contact in contact_distances(scaled, MAX_APPROACHES) if contact.distance > least]
     return [(contact.distance / factor, contact.std / contact.distance) for contact in found]
 
 

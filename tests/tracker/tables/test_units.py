@@ -6,6 +6,7 @@ import pytest
 
 import tracker
 from synthcam_shared.errors import InputError
+from tracker.detection import contact_distance
 from tracker.notes import NoteKind
 from tracker.tables.read import read_frame, read_tracks
 from tracker.tables.table_options import TableOptions
@@ -192,3 +193,23 @@ def test_ok_is_never_without_a_value(factor):
     (row,) = tracker.measure(rows, clip.camera_json, unit="px").estimates.to_dict("records")
     values = [row[f"{name}{kind}"] for name in ("v0", "b", "r", "mu_k", "C") for kind in ("", "_free")]
     assert row["status"] != "ok" or np.isfinite(values).any()
+
+
+def test_the_nearest_approaches_of_a_long_table_show_the_contact(monkeypatch):
+    """A hit, before which the balls go round side by side: noise alone makes hundreds of approaches."""
+    looked = []
+    monkeypatch.setattr(
+        contact_distance, "_touch", lambda *given, whole=contact_distance._touch: looked.append(0) or whole(*given)
+    )
+    rows, count = hit(), 12000
+    frame, rng = np.arange(count), np.random.default_rng(1)
+    for ball in (0, 1):
+        way = 300 * np.array([np.cos(frame / 25), np.sin(frame / 25)]) + [[350.0], [350.0 + 100 * ball]]
+        x, y = way + rng.normal(0, 0.02, (2, count))
+        before = pd.DataFrame({"clip": 0, "frame": frame - count - 20, "particle": ball, "x": x, "y": y})
+        rows = pd.concat([rows, before])
+    rows["frame"] += count + 20
+    (note,) = read_frame(rows, BALL | {"scale": 0.85e-3}).notes
+    assert "the balls touch at 24;" in str(note)
+    assert "and scale is about 0.001 " in str(note)
+    assert len(looked) <= 100
