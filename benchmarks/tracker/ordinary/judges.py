@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmarks.tracker.ordinary.case import Outcome, Verdict
+from benchmarks.tracker.ordinary.case import Judge, Outcome, Verdict
 
 ERRORS = 3.0  # a value is right within so many of its standard errors
 NEAR_PX = 1.0  # a ball is found where a position is so near its true centre
@@ -64,6 +64,22 @@ class Measured:
         missing = list_missing(self.says, outcome.said)
         parts += [f"without {word!r}" for word in missing] or [f"{word!r}" for word in self.says]
         return Verdict(", ".join(parts), fine and not missing)
+
+
+@dataclass(frozen=True)
+class Either:
+    """One of two judges is content."""
+
+    first: Judge
+    second: Judge
+
+    @property
+    def right(self) -> str:
+        return f"{self.first.right}; or {self.second.right}"
+
+    def __call__(self, outcome: Outcome) -> Verdict:
+        verdict = self.first(outcome)
+        return verdict if verdict.right else self.second(outcome)
 
 
 def read_number(value: object) -> float:
