@@ -86,11 +86,11 @@ def write_missing(rows, marks=("-", "", "NA", "--", "nan", "None", "?"), first=2
     return text
 
 
-def write_qualisys(rows, size, names=True, lost=None):
-    """Millimetres on a plate of .16 mm/px, z up; 0, 0, 0 where a marker is lost, at (frame, ball)."""
+def write_qualisys(rows, size, names=True, lost=None, scale=0.16):
+    """Millimetres on a plate, by a scale in mm/px, z up; 0, 0, 0 where a marker is lost, at (frame, ball)."""
     middle = [(n - 1) / 2 for n in size]
     by = {
-        (f, b): f"{(x - middle[0]) * 0.16:.6f}\t{(middle[1] - y) * 0.16:.6f}\t1.190" for f, b, x, y in rows
+        (f, b): f"{(x - middle[0]) * scale:.6f}\t{(middle[1] - y) * scale:.6f}\t1.190" for f, b, x, y in rows
     }  # fmt: skip
     by[lost] = "0.000\t0.000\t0.000"
     frames = sorted({f for f, *_ in rows})

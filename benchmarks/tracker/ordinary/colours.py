@@ -17,6 +17,8 @@ from benchmarks.tracker.ordinary.sources import discs, film_discs, track, write_
 
 colour: Any = importlib.import_module("tracker_colours")
 CREAM, PAPER = (225.0, 200.0, 150.0), (205.0, 210.0, 200.0)
+PAIR = discs.apart(colour.FRAMES)
+MIDDLE = int(PAIR[:, :, 1].mean())  # the row between two balls
 BLUE, DARK_GREEN, CRIMSON = (30.0, 60.0, 110.0), (20.0, 120.0, 60.0), (190.0, 40.0, 60.0)
 
 
@@ -33,12 +35,23 @@ def track_pictures(draw: Callable[[], NDArray[Any]], *options: str) -> Callable[
     return make
 
 
-def write_discs(folder: Path) -> Path:
-    """The grey film of discs as pictures, and a mask that shows the lower half."""
-    (folder / "film").mkdir()
-    for k, picture in enumerate(film_discs().frames):
-        cv2.imwrite(str(folder / f"film/{k:03d}.png"), picture)
-    return folder / "film"
+def track_grey(*options: str) -> Callable[[Path], Words]:
+    """A grey film of two balls that move side by side; a mask that shows the lower half; and `tracker track`."""
+
+    def make(folder: Path) -> Words:
+        words = track_pictures(lambda: film_pair()[..., None].repeat(3, axis=3), *options)(folder)
+        mask = np.zeros(discs.SIZE, np.uint8)
+        mask[MIDDLE:] = 255
+        cv2.imwrite(str(folder / "mask.png"), mask)
+        return words
+
+    return make
+
+
+def film_pair() -> NDArray[Any]:
+    """Grey frames of two balls side by side, one above the row MIDDLE and one below it."""
+    frames: NDArray[Any] = discs.film(np.random.default_rng(3), PAIR, ground=np.full(discs.SIZE, 70.0))
+    return frames
 
 
 def draw_bar(folder: Path) -> Path:
@@ -54,9 +67,8 @@ def draw_bar(folder: Path) -> Path:
 
 def list_cases() -> list[Case]:
     """Cases of colours, hints, and of a film that shows no ball."""
-    pair = discs.apart(colour.FRAMES)
-    one = pair[:1] + np.array([25.0, -5.0])
-    two = np.stack([pair[0] + [10.0, -10.0], pair[1] + [10.0, -15.0]])
+    one = PAIR[:1] + np.array([25.0, -5.0])
+    two = np.stack([PAIR[0] + [10.0, -10.0], PAIR[1] + [10.0, -15.0]])
     people = ((colour.hand, colour.SKIN), (colour.cue, colour.WOOD))
     halves = ((DARK_GREEN, CREAM), (BLUE, CREAM))
     x, y = one[0, 10]
@@ -82,16 +94,16 @@ def list_cases() -> list[Case]:
             Found(two[:1], near_px=1.5, share=0.9),
         ),
     }  # fmt: skip
-    filmed = film_discs()
-    places = filmed.places
-    right = int(places[1, :40, 0].max()) + 20
+    low = PAIR[PAIR[:, :, 1].mean(axis=1).argmax()][None]
+    width, height = discs.SIZE[1], discs.SIZE[0]
     hints = {
-        "hint --frames 5:60": (("--frames", "5:60"), Found(places[:, 5:60], first=5)),
-        "hint --region": (("--region", f"0,0,{right},180"), Found(places, share=0.5)),
+        "hint --frames 6:20": (("--frames", "6:20"), Found(PAIR[:, 6:20], first=6)),
+        "hint --region": (("--region", f"0,{MIDDLE},{width},{height}"), Found(low)),
+        "hint --mask": (("--mask", "mask.png"), Found(low)),
     }
     return [
         *(Case("colour", kind, make, judge) for kind, (make, judge) in cases.items()),
-        *(Case("colour", kind, track(write_discs, film_discs, *options), judge)
+        *(Case("colour", kind, track_grey(*options), judge)
           for kind, (options, judge) in hints.items()),
         Case("colour", "a film that fails has a picture of what was refused", track(draw_bar, film_discs),
              Said(("refused.png", "--ball X,Y@"), files=("new/**/refused.png",))),

@@ -58,7 +58,7 @@ def list_dialects() -> dict[str, tuple[str, tuple[str, ...]]]:
     late, _ = place_on_whole_pixels()
     every = {name: (text, ()) for name, text in dialects.list_dialects(rows).items()}
     every["decimals late"] = (dialects.write_late_decimals(late), ())
-    every["Qualisys"] = (dialects.write_qualisys([(f, b, x, y) for f, b, x, y in rows], (200, 160)), ())
+    every["Qualisys"] = (dialects.write_qualisys(rows, (200, 160), scale=0.3), ())
     every["missing values in seven ways"] = (dialects.write_missing(rows), ())
     every["thousands separators"] = (write_thousands(rows), ("--unit", "um"))
     every["TrackMate with an unknown unit, --unit px"] = (
@@ -132,7 +132,7 @@ def list_cases() -> list[Case]:
         for name, (write, needs) in files.items()
     ]
     faults: dict[str, tuple[TrackRows, tuple[str, ...]]] = {
-        "ids exchanged in one frame": (exchange(30, 30), ("frame 30",)),
+        "ids exchanged in one frame": (exchange(30, 30), ("frames 30, 31",)),
         "ids exchanged from the hit on": (exchange(HIT + 1, 99), ("exchange",)),
         "ids exchanged later, for good": (exchange(40, 99), ("frame 40",)),
         "lost points as 0, 0": (lose(0.0, (4, 5, 33)), ("4", "33")),
