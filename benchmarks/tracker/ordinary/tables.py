@@ -48,7 +48,8 @@ def place_on_whole_pixels() -> tuple[TrackRows, dict[str, Any]]:
     rest = film_glints().places[0, 0]
     x0, y0 = np.ceil(rest) - rest
     moved = [(f, b, round(x + x0, 4), round(y + y0, 4)) for f, b, x, y in list_rows()]
-    exact = [(f, b, *map(float, np.ceil(rest))) if b == 0 and f < 6 else (f, b, x, y) for f, b, x, y in moved]
+    at = float(np.ceil(rest[0])), float(np.ceil(rest[1]))
+    exact = [(f, b, at[0], at[1]) if b == 0 and f < 6 else (f, b, x, y) for f, b, x, y in moved]
     return sorted(exact, key=lambda row: (row[1], row[0])), know_table()
 
 
@@ -56,7 +57,9 @@ def list_dialects() -> dict[str, tuple[str, tuple[str, ...]]]:
     """Texts and options by the name of a dialect; all hold the same positions."""
     rows = list_rows()
     late, _ = place_on_whole_pixels()
-    every = {name: (text, ()) for name, text in dialects.list_dialects(rows).items()}
+    every: dict[str, tuple[str, tuple[str, ...]]] = {
+        name: (text, ()) for name, text in dialects.list_dialects(rows).items()
+    }
     every["decimals late"] = (dialects.write_late_decimals(late), ())
     every["Qualisys"] = (dialects.write_qualisys(rows, (200, 160), scale=0.3), ())
     every["missing values in seven ways"] = (dialects.write_missing(rows), ())

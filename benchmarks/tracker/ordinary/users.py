@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +55,7 @@ def write_table(path: Path, strikers: tuple[int, ...] = (1, 0, 1), named: bool =
     pd.concat(parts).to_csv(path, index=False)
 
 
-WIDE = {"fps": 250.0, "size": [640, 480], "scale": 1.6e-4, "ball_diameter": 2.4e-3}
+WIDE: dict[str, Any] = {"fps": 250.0, "size": [640, 480], "scale": 1.6e-4, "ball_diameter": 2.4e-3}
 
 
 def make_dataset(folder: Path, seed: int = 0) -> Path:
@@ -213,7 +212,10 @@ def list_cases() -> list[Case]:
     tied = {name: glints.truth[name] for name in ("v0", "r")}
     lossy = Either(Measured(tied), Measured({"r_free": tied["r"]}, ("misfit",), ("the codec", "compression")))
     near = Found(glints.places, near_px=0.5, share=0.85, false=2)  # ten lines lose a glint that is much dimmer
-    table = partial(measure, "t.csv", **WIDE)
+
+    def table(write: Callable[[Path], object]) -> Callable[[Path], Words]:
+        return measure("t.csv", write, **WIDE)
+
     cases: dict[str, tuple[Callable[[Path], Words], Judge]] = {
         "clips in which either number strikes": (table(write_table), Said(("add a column striker",))),
         "clips whose balls have names": (

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,8 @@ from benchmarks.tracker.ordinary.sources import film_discs, track
 
 video: Any = importlib.import_module("tracker_video")
 QUARTER_TURN = (0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0, 1 << 30)  # the matrix of the header of a track in MP4
+Writer = Callable[[Path], Path]
+OBLONG = "pixels of 4:3 (SAR)"
 HDR = {"HLG": "arib-std-b67", "PQ": "smpte2084"}
 CONTAINERS = {  # codec, pixels; the name by which FFmpeg writes it, if it is another
     "film.mts": ("libx264", "yuv420p", "written.ts"),
@@ -111,43 +115,41 @@ def squeeze(frames: NDArray[Any]) -> NDArray[Any]:
     return np.rint(wide.reshape(*frames.shape[:2], -1, 4).mean(axis=3)).astype(np.uint8)
 
 
+def list_kinds() -> dict[str, tuple[Writer, Measured]]:
+    """How a film of each kind is written, and its right values."""
+    discs, truth = film_discs().frames, film_discs().truth
+    fine = Measured(truth)
+    kinds: dict[str, tuple[Writer, Measured]] = {}
+    for name, codec in (("H.264", "libx264"), ("HEVC", "libx265")):
+        for bits in (8, 10):
+            for full in (False, True):
+                kind = f"{name}, {bits} bits, {'full' if full else 'limited'} range"
+                kinds[kind] = (name_film("film.mp4", partial(encode, codec=codec, bits=bits, full=full)), fine)
+    for curve in HDR:
+        says = (f"HDR curve {curve}",)
+        kinds[f"{curve}, 10 bits"] = (
+            name_film("film.mp4", partial(encode_hdr, curve=curve)),
+            Measured(truth, says=says),
+        )
+    for name in CONTAINERS:
+        kinds[f".{name.rpartition('.')[2]}"] = (partial(encode_container, name=name), fine)
+    kinds["rotation metadata of a phone"] = (name_film("film.mp4", turn), fine)
+    covered = partial(mux, frames=discs, cover=True)
+    kinds["a cover picture as first stream"] = (name_film("film.mp4", covered), fine)
+    oblong = partial(mux, frames=squeeze(discs), aspect=Fraction(4, 3))
+    kinds[OBLONG] = (name_film("film.mp4", oblong), Measured(truth, says=("the picture is stretched",)))
+    return kinds
+
+
+def name_film(name: str, write: Writer) -> Writer:
+    """A writer into a folder from one of a file."""
+    return lambda folder: write(folder / name)
+
+
 def list_cases() -> list[Case]:
     """Cases of videos."""
-    discs, truth = film_discs(), film_discs().truth
-    kinds = {
-        f"{name}, {bits} bits, {'full' if full else 'limited'} range": (
-            lambda folder, codec=codec, bits=bits, full=full: encode(folder / "film.mp4", codec, bits, full),
-            Measured(truth),
-        )
-        for name, codec in (("H.264", "libx264"), ("HEVC", "libx265"))
-        for bits in (8, 10)
-        for full in (False, True)
-    }
-    kinds |= {
-        f"{curve}, 10 bits": (
-            lambda folder, curve=curve: encode_hdr(folder / "film.mp4", curve),
-            Measured(truth, says=(f"HDR curve {curve}",)),
-        )
-        for curve in HDR
-    }
-    kinds |= {
-        f".{name.rpartition('.')[2]}": (
-            lambda folder, name=name: encode_container(folder, name), Measured(truth),
-        )
-        for name in CONTAINERS
-    }  # fmt: skip
-    kinds |= {
-        "rotation metadata of a phone": (lambda folder: turn(folder / "film.mp4"), Measured(truth)),
-        "a cover picture as first stream": (
-            lambda folder: mux(folder / "film.mp4", discs.frames, cover=True), Measured(truth),
-        ),
-        "pixels of 4:3 (SAR)": (
-            lambda folder: mux(folder / "film.mp4", squeeze(discs.frames), aspect=Fraction(4, 3)),
-            Measured(truth, says=("the picture is stretched",)),
-        ),
-    }  # fmt: skip
-    sizes: dict[str, Any] = {"pixels of 4:3 (SAR)": {"size": [180, 180]}}
+    sizes: dict[str, dict[str, Any]] = {OBLONG: {"size": [180, 180]}}
     return [
         Case("video", kind, track(write, film_discs, **sizes.get(kind, {})), judge)
-        for kind, (write, judge) in kinds.items()
+        for kind, (write, judge) in list_kinds().items()
     ]
