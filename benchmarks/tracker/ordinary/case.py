@@ -79,7 +79,7 @@ class Program:
 
     def start(self, words: Words, folder: Path, **streams: object) -> subprocess.Popen[bytes]:
         """Start a command of the project, or `python -c SCRIPT`, in a folder and a process group of its own."""
-        name, *rest = map(os.fspath, words)
+        name, *rest = [os.fspath(word) for word in words]
         line = [sys.executable, *(() if name == "python" else ("-m", name)), *rest]
         return subprocess.Popen(  # type: ignore[call-overload, no-any-return]
             line, cwd=folder, env=self.environment, start_new_session=True, **streams

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -41,18 +41,19 @@ CONTAINERS = {  # codec, pixels; the name by which FFmpeg writes it, if it is an
 def to_limited(frames: NDArray[Any], bits: int = 8) -> NDArray[Any]:
     """Codes of limited range, black at 16 and white at 235 of 8 bits."""
     codes = np.rint((16 + frames.astype(float) * 219 / 255) * 2 ** (bits - 8))
-    return codes.astype(np.uint8 if bits == 8 else "<u2")
+    stored: NDArray[Any] = codes.astype(np.uint8 if bits == 8 else "<u2")
+    return stored
 
 
 def encode(
-    path: Path, codec: str = "libx264", bits: int = 8, full: bool = False, rate: int = 120, **options: str
+    path: Path, codec: str = "libx264", bits: int = 8, full: bool = False, options: Mapping[str, str] | None = None
 ) -> Path:
     """The film of discs in a lossy codec of good quality, of 8 or 10 bits and of limited or full range."""
     frames = film_discs().frames
     codes = frames.astype("<u2") * 4 if full and bits == 10 else frames if full else to_limited(frames, bits)
-    quality = {"crf": "12"} | ({"x265-params": "log-level=none"} if codec == "libx265" else {}) | options
+    quality = {"crf": "12"} | ({"x265-params": "log-level=none"} if codec == "libx265" else {}) | dict(options or {})
     pixels = "yuv420p" if bits == 8 else "yuv420p10le"
-    return Path(video.encode(path, codes, codec, pixels, rate=rate, options=quality, full=full))
+    return Path(video.encode(path, codes, codec, pixels, rate=120, options=quality, full=full))
 
 
 def encode_container(folder: Path, name: str) -> Path:
@@ -69,7 +70,7 @@ def encode_container(folder: Path, name: str) -> Path:
 def encode_hdr(path: Path, curve: str) -> Path:
     """Ten bits with the name of an HDR curve; the codes stay those of the film."""
     tags = f"transfer={HDR[curve]}:colorprim=bt2020:colormatrix=bt2020nc"
-    return encode(path, bits=10, **{"x264-params": tags})
+    return encode(path, bits=10, options={"x264-params": tags})
 
 
 def turn(path: Path) -> Path:
@@ -112,7 +113,8 @@ def mux(path: Path, frames: NDArray[Any], aspect: Fraction | None = None, cover:
 def squeeze(frames: NDArray[Any]) -> NDArray[Any]:
     """Frames of 4:3 pixels: each pair of stored columns is the mean light of its part of three."""
     wide = np.repeat(frames.astype(float), 3, axis=2)
-    return np.rint(wide.reshape(*frames.shape[:2], -1, 4).mean(axis=3)).astype(np.uint8)
+    narrow: NDArray[Any] = np.rint(wide.reshape(*frames.shape[:2], -1, 4).mean(axis=3)).astype(np.uint8)
+    return narrow
 
 
 def list_kinds() -> dict[str, tuple[Writer, Measured]]:
