@@ -29,6 +29,7 @@ from tracker.settings import FitSettings
 
 PRIOR_WIDTH = 1.0  # of the logarithm of the errors of a set, about those of its recordings alone
 USUAL_EXCESS = 2.0  # of what a set adds to the errors of residuals, over them; real sets show 0.8 to 2.8
+COMMON_SHARE = 0.1  # of the errors of velocities, what all contacts of a crowd share; a bent map makes less
 # Largest standard errors with which quantities are reported; others have max_relative_error of their value.
 _LARGEST_ERRORS = {"b": 0.05, "s": 0.3, "r": 0.2, "C": 0.1, "final_angle": 0.1, "impact_energy": 0.1}
 _LARGEST_ERRORS |= {"energy_fraction": 0.1, "momentum_fraction": 0.1, "mass_ratio": np.inf}
@@ -299,22 +300,21 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> Loca
 
 
 def _find_common_error(errors: LocalErrors) -> float:
-    """Find the size of what all contacts of a crowd share along n, over the normal speed.
+    """Find the root mean square of what all contacts of a crowd share along n, over the normal speed.
 
-    A bias of more than three of its errors counts whole, with its error: a bent map or unequal balls may make it.
-    Below that it is the root mean square over all sizes that agree with the bias, and at most the same sum. Balls of a
-    crowd meet in all places and directions. So the prior is the half of a normal distribution, with the size of what
-    the four velocities of a single contact err by.
+    Balls of a crowd meet in all places and directions, so that most errors of velocities average out. The prior of what
+    they share is the horseshoe of Carvalho, Polson and Scott (2010), Biometrika 97, 465: a normal distribution whose
+    size has the half of a Cauchy distribution, with COMMON_SHARE of what the four velocities of one contact err by.
+    Noise of the balances hardly counts then, and a bias of many errors, as that of unequal balls, counts whole.
     """
-    whole, usual = float(np.hypot(errors.bias_n, errors.bias_std)), 2 * errors.error_n
-    if abs(errors.bias_n) > 3 * errors.bias_std:
-        return whole
-    sizes = np.linspace(0.0, 6.0, 601) * usual
+    quantiles = (np.arange(2000) + 0.5) / 2000
+    sizes = COMMON_SHARE * 2 * errors.error_n * np.tan(quantiles * np.pi / 2)
     variance = sizes**2 + errors.bias_std**2
-    chance = -(sizes**2) / usual**2 / 2 - errors.bias_n**2 / variance / 2 - np.log(variance) / 2
+    chance = -(errors.bias_n**2) / variance / 2 - np.log(variance) / 2
     weights = np.exp(chance - chance.max())
-    agreed = float(np.sqrt(weights @ sizes**2 / weights.sum()))
-    return min(agreed, whole)
+    kept = sizes**2 / variance  # share of the bias that is no noise
+    square = (kept * errors.bias_n) ** 2 + kept * errors.bias_std**2
+    return float(np.sqrt(weights @ square / weights.sum()))
 
 
 def _is_of_many_masses(

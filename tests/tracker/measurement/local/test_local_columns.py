@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.integrate import quad
+from scipy.special import hyperu
 from tracker_film import CAMERA
 from tracker_local import AT, draw_rows, draw_unequal_rows
 
@@ -12,7 +14,9 @@ from tracker.camera.camera import Camera
 from tracker.measurement.camera_errors import shared_effects
 from tracker.measurement.estimate import make_empty_row
 from tracker.measurement.local.local_columns import (
+    COMMON_SHARE,
     LocalErrors,
+    _find_common_error,
     apply_errors,
     calibrate_rows,
     calibrate_set,
@@ -131,6 +135,30 @@ def test_what_all_contacts_of_a_crowd_share_is_as_large_as_it_is(size, residual)
     else:
         assert claim < 0.006
         assert claim < 0.6 * np.sqrt(np.mean(np.square(noise)))
+
+
+@pytest.mark.parametrize("bias_over_error", [0.0, 1.0, 2.5, 4.0])
+def test_what_contacts_of_a_crowd_share_is_the_second_moment_of_a_horseshoe(bias_over_error):
+    """By the density of the prior, exp(x) E1(x) with x half of the square: Carvalho, Polson and Scott (2010)."""
+    error, size = 0.003, COMMON_SHARE * 2 * 0.004
+
+    def weigh(bias, power):
+        x = (bias / size) ** 2 / 2
+        return bias**power * np.exp(-(((bias_over_error - bias / error) ** 2) / 2)) * hyperu(1, 1, x)
+
+    points = size * np.array([-3, -1, -0.1, -1e-3, 0, 1e-3, 0.1, 1, 3])
+    moment, chance = (
+        quad(weigh, -12 * error, 12 * error, args=(power,), points=points, limit=500)[0] for power in (2, 0)
+    )
+    found = _find_common_error(LocalErrors(bias_n=bias_over_error * error, bias_std=error, error_n=0.004))
+    assert found == pytest.approx(np.sqrt(moment / chance), rel=0.01)
+
+
+@pytest.mark.parametrize("bias_over_error", [0.0, 1.0])
+def test_noise_of_the_balances_of_a_crowd_is_hardly_shared(bias_over_error):
+    """A film of fourteen contacts knows its balances to 0.0035; its mean r is known as well, and no worse."""
+    errors = LocalErrors(bias_n=bias_over_error * 0.0035, bias_std=0.0035, error_n=0.0016)
+    assert _find_common_error(errors) < 0.4 * errors.bias_std
 
 
 @pytest.mark.parametrize("bias", [-0.02, 0.02])
