@@ -1,11 +1,13 @@
-"""Which positions of the balls of a crowd count for a contact."""
+"""Which positions of the balls of a crowd count for a contact, and what a contact shows of the plate's friction."""
 
 import numpy as np
 import pytest
 
 from tracker.measurement.collision.contacts import ContactCandidate, prepare_contact
-from tracker.measurement.crowd.crowd_rows import _keep_moving
+from tracker.measurement.crowd.crowd_rows import MU_K, _keep_moving, _share_friction
 from tracker.measurement.crowd.track_contacts import TrackContact
+from tracker.measurement.local.local_columns import LocalErrors, apply_errors, make_local_columns
+from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate
 from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
 
@@ -32,3 +34,18 @@ def test_a_ball_that_rolls_slowly_up_to_its_contact_does_not_rest(speed):
     assert kept.target_moves == (speed > 0)
     assert kept.struck.particle == 0
     assert len(kept.struck) == 100
+
+
+def test_the_friction_that_a_contact_shows_alone_has_an_error():
+    """The film's friction allows for more than the error by the contact's own. Allowances of 0.3 left an error of 0."""
+    n = len(LOCAL_NAMES)
+    cov, response = np.diag(np.full(n, 0.02**2)), np.zeros((n, 9))
+    common = (0.1, 10.0, 10.0, 0.5, False, frozenset[str](), True)
+    of_film = LocalEstimate(np.full(n, 0.2), cov, response, *common, cov_of_known=0.9 * cov)
+    alone = LocalEstimate(np.full(n, 0.21), 0.6 * cov, response, *common, cov_of_known=0.1 * cov)
+    shared = _share_friction(of_film, alone, FitSettings(), 0.05)
+    assert shared.cov_of_known[MU_K, MU_K] == pytest.approx(0.1 * 0.02**2)
+    assert not np.delete(shared.cov_of_known[MU_K], MU_K).any()
+    row = make_local_columns(shared)
+    found = apply_errors(row, LocalErrors(allowances=0.3))["mu_k_local_std"]
+    assert found == pytest.approx(0.02 * np.sqrt(0.5 + 0.3**2 * 0.1), rel=1e-6)
