@@ -6,9 +6,9 @@ Each case makes one small input by code, runs a command of the project on it, an
 the simulation (within 3 standard errors), or the message with the one that a user needs. The table has a row for each:
 the command, what came out, what is right, and the seconds of processor time. The exit status is 1 if any is not right.
 
---inputs adds the files of a folder, those of the table in `ordinary.files`. --only WORD takes the cases with that word
-in their topic or kind. --program DIR runs the commands of another checkout, to compare an older version. Results also
-go to out/ordinary_inputs/results.csv and results.md.
+--inputs adds the files of a folder, those of the table in `ordinary.files`. --only "WORD; WORD" takes the cases with
+one of these words in their topic or kind. --program DIR runs the commands of another checkout, to compare an older
+version. Results also go to out/ordinary_inputs/results.csv and results.md.
 """
 
 from __future__ import annotations
@@ -70,9 +70,10 @@ def write_results(rows: Sequence[Row], folder: Path, last_line: str) -> None:
 
 
 def select_cases(only: str, inputs: Path | None) -> list[Case]:
-    """All cases, or those with a word in their topic or kind."""
+    """All cases, or those with one of the words in their topic or kind, between which are semicolons."""
     every = [case for make in TOPICS for case in make()] + (list_files(inputs) if inputs else [])
-    return [case for case in every if only.lower() in f"{case.topic}: {case.kind}".lower()]
+    words = [word.strip().lower() for word in only.split(";")]
+    return [case for case in every if any(word in f"{case.topic}: {case.kind}".lower() for word in words)]
 
 
 def main() -> None:

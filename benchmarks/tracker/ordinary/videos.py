@@ -62,7 +62,8 @@ def encode_container(folder: Path, name: str) -> Path:
     frames = film_discs().frames
     codes = to_limited(frames) if pixels == "yuv420p" else frames
     rate = 25 if name in ("film.mxf", "film.gif") else 60  # MPEG-2 has no 120 frames a second, nor has GIF
-    options = {} if codec == "gif" else {"crf": "12", "b": "8000000", "qmin": "2", "qmax": "2"}
+    options = {"crf": "12", "b": "8000000", "qmin": "2", "qmax": "2"}
+    options = {"gif": {}, "libvpx-vp9": {"crf": "12", "b": "0"}}.get(codec, options)
     path = video.encode(folder / (written or name), codes, codec, pixels, rate=rate, options=options)
     return Path(path.rename(folder / name))
 
