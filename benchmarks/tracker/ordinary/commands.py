@@ -110,12 +110,12 @@ def write_corrupt(folder: Path) -> Path:
 
 
 def write_crowd(count: int, frames: int) -> Callable[[Path], Words]:
-    """A table of so many balls that roll side by side, 3 diameters apart."""
+    """A table of so many balls that roll side by side, 24 px apart."""
 
     def make(folder: Path) -> Words:
         side = int(np.ceil(np.sqrt(count)))
         ball, frame = np.tile(np.arange(count), frames), np.repeat(np.arange(frames), count)
-        write_camera(folder, {name: value for name, value in know_table().items() if name != "size"})
+        write_camera(folder, {**know_table(), "size": [24 * side + 40] * 2})
         rng = np.random.default_rng(0)
         speed = rng.normal(0, 1.0, (count, 2))
         x, y = 20 + 24.0 * (ball % side), 20 + 24.0 * (ball // side)
