@@ -111,7 +111,7 @@ class Overlay:
 def encode_mp4(pictures: Iterable[Picture]) -> bytes:
     """Encode pictures with tracks as an H.264 film; the same pictures give the same bytes.
 
-    Slower presets of x264 take twice the time, and show thin coloured lines worse.
+    Slower presets of x264 show the thin coloured lines worse.
     """
     tools = "cabac=1:no-deblock=0"  # the quickest preset lacks these, which make smaller files
     settings = {"crf": "28", "preset": "ultrafast", "x264-params": tools, "threads": "1", "g": "10", "bf": "0"}
