@@ -9,7 +9,9 @@ tray for 0.5 s, and the first ball has 1.3 times the mass of the others; `equal`
 
 Each line has the law of the recoil or of the friction that `discrepancy find` names, its sigma and its numbers, and for
 a heavier ball whether it is the right one, without a rival. A friction that falls is right if it is named as such, not
-only as a rival.
+only as a rival. Its line also has two bounds: by how many sigma the true friction differs from the best constant one,
+by the claimed errors of the friction, at the true slips. One is that of contacts whose slip the search can trace, the
+other that of all measured contacts, as if all slips were known.
 
 `tilted` and `level` search the free stretches of the scene `crowd`, on a plate that is tilted by 1 mrad or not at all.
 """
@@ -22,15 +24,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 import discrepancy
 import tracker
 from benchmarks.harness import ROOT, keep, save
 from benchmarks.tracker.crowd_contacts import measure_true_positions, name_balls
-from discrepancy.data.contacts import read_contacts
+from discrepancy.data.contacts import read_contacts, trace_slips
 from discrepancy.select.contact_effects import select_contact_laws
+from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
 
+REACH_S = 0.008  # within which a measured contact is a true one
+TRACED = 0.5  # error of a slip, relative, up to which the search uses it
 EXCESS = 0.3  # of the mass of the heavier ball
 FALLING = {"mu": 0.03, "rise": 0.4, "fall": 0.12}
 COULOMB = {"mu": 0.1}
@@ -75,6 +81,54 @@ def search_stretches(kind: str, seed: int) -> dict[str, Any]:
     }
 
 
+def read_true_slips(clip: Clip) -> pd.DataFrame:
+    """The true contacts of two balls: t_s, i, j, slip (m/s), its share in the plane, and the friction that stops it."""
+    motion, radius = clip.solve(), clip.model.ball.diameter / 2
+    events = motion.events[motion.events["kind"] == "contact"].reset_index(drop=True)
+    at, count = events["t_s"].to_numpy(), len(motion.at([0.0]))
+    before = motion.at(np.maximum(at - 1e-9, 0)).sort_values(["particle", "t_s"])
+    state = before[["x", "y", "z", "vx", "vy", "vz", "wx", "wy", "wz"]].to_numpy().reshape(count, len(at), 9)
+    one, other = (state[events[k].to_numpy(), np.arange(len(at))] for k in "ij")
+    normal = other[:, :3] - one[:, :3]
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    approach = one[:, 3:6] - other[:, 3:6]
+    slip = approach + radius * np.cross(one[:, 6:] + other[:, 6:], normal)
+    along = (approach * normal).sum(axis=1)
+    slip -= (slip * normal).sum(axis=1)[:, None] * normal
+    size, across = np.linalg.norm(slip, axis=1), np.abs(slip[:, 1] * normal[:, 0] - slip[:, 0] * normal[:, 1])
+    sticks = 2 / 7 * across / ((1 + clip.model.restitution) * np.abs(along))
+    return events[["t_s", "i", "j"]].assign(slip=size, share=across / size, sticks=sticks)
+
+
+def bound_fall(clip: Clip, result: tracker.Result) -> dict[str, float]:
+    """How many sigma the fall of the friction has: of contacts whose slip is traced, and of all measured ones."""
+    true, names, rows = read_true_slips(clip), name_balls(clip, result), result.estimates.to_dict("records")
+    by_number = {row["collision"]: row for row in rows if not row["misfit_local"]}
+    found = list[dict[str, float]]()
+    for number, traced in trace_slips(rows, result.contacts).items():
+        if number not in by_number:
+            continue
+        row = by_number[number]
+        balls = sorted(names[row[name]] for name in ("particle1", "particle2"))
+        same = (np.sort(true[["i", "j"]].to_numpy(), axis=1) == balls).all(axis=1)
+        late = np.where(same, np.abs(true["t_s"] - row["t_c_local"]), np.inf)
+        if late.min() < REACH_S:
+            known = traced.across_std < TRACED * traced.size
+            found.append(dict(true.iloc[late.argmin()]) | {"std": traced.friction_std, "known": known})
+    table = pd.DataFrame(found)
+    parts = {"traced": table[table["known"].astype(bool)], "measured": table}
+    return {f"{name}_{key}": value for name, part in parts.items() for key, value in _differ(part).items()}
+
+
+def _differ(contacts: pd.DataFrame) -> dict[str, float]:
+    """The number of contacts, and the sigma of the true friction over the best constant one."""
+    share, sticks, std = (contacts[name].to_numpy(float) for name in ("share", "sticks", "std"))
+    falling = FALLING["mu"] + FALLING["rise"] * np.exp(-contacts["slip"].to_numpy(float) / FALLING["fall"])
+    true, tried = np.minimum(falling * share, sticks), np.linspace(0.0, 0.5, 501)[:, None]
+    off = (true - np.minimum(tried * share, sticks)) / std
+    return {"contacts": len(contacts), "sigma": float(np.sqrt((off**2).sum(axis=1).min()))}
+
+
 def search_film(kind: str, seed: int) -> dict[str, Any]:
     """The law of one film, with its numbers, and whether it is the true one."""
     if kind in ("tilted", "level"):
@@ -101,7 +155,7 @@ def search_film(kind: str, seed: int) -> dict[str, Any]:
         "contacts": claim.contacts,
         "sigma": claim.sigma,
         "numbers": [[number.value, number.std] for number in claim.numbers],
-    }
+    } | (bound_fall(clip, result) if kind == "falling" else {})
 
 
 def main() -> None:
@@ -118,6 +172,10 @@ def main() -> None:
         one = found[part] = keep(given.output.with_suffix(".jsonl"), part, partial(search_film, given.kind, seed))
         numbers = ", ".join(f"{value:.4g}({std:.2g})" for value, std in one["numbers"])
         print(f"{part}: {one['law']}, {one['sigma']:.1f} sigma, {numbers}; contacts: {one.get('contacts')}", flush=True)
+        if "traced_sigma" in one:
+            for name in ("traced", "measured"):
+                contacts, sigma = one[f"{name}_contacts"], one[f"{name}_sigma"]
+                print(f"  bound by {contacts} {name} contacts: {sigma:.1f} sigma", flush=True)
     save(given.output, found)
     print(f"{sum(one['right'] for one in found.values())} of {len(found)} films are right")
 
