@@ -55,16 +55,16 @@ class FreeResiduals:
 
     def rotate(self, scatter: StretchScatter) -> RotatedResiduals:
         """Rotate the numbers so that a scatter, too, makes them independent."""
-        other = np.eye(len(self.rows))  # the covariance by noise and displacements
+        moved, seen, volume = self.moves.spread(scatter), np.column_stack([self.slopes, self.residuals]), 0.0
         if scatter.displacement_m:
             kernel = correlate_displacements(self.xy, self.xy, scatter)
-            other += sum(self.rows[:, axis::2] @ kernel @ self.rows[:, axis::2].T for axis in range(2))
-        factor = cholesky(other, lower=True)
-        half = solve_triangular(factor, self.moves.spread(scatter), lower=True)
-        both = solve_triangular(factor, half.T, lower=True)
-        variances, axes = np.linalg.eigh((both + both.T) / 2)
-        seen = axes.T @ solve_triangular(factor, np.column_stack([self.slopes, self.residuals]), lower=True)
-        volume = 2 * float(np.log(np.diag(factor)).sum())
+            displaced = sum(self.rows[:, axis::2] @ kernel @ self.rows[:, axis::2].T for axis in range(2))
+            factor = cholesky(np.eye(len(self.rows)) + displaced, lower=True)
+            half = solve_triangular(factor, moved, lower=True)
+            moved, seen = (solve_triangular(factor, each, lower=True) for each in (half.T, seen))
+            volume = 2 * float(np.log(np.diag(factor)).sum())
+        variances, axes = np.linalg.eigh((moved + moved.T) / 2)
+        seen = axes.T @ seen
         return RotatedResiduals(np.maximum(variances, 0.0), seen[:, -1], seen[:, :-1], volume)
 
 

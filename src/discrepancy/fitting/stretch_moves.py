@@ -9,8 +9,9 @@ proportional to a power of the speed.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
@@ -24,6 +25,7 @@ from synthcam_shared.arrays import Array
 ON_PLATE = ("friction", "loss_m_s2")
 ON_AIR = ("loss_m_s2", "across_m_s2", "lasts_s")
 DISPLACED = ("displacement_m", "reach_m")
+MAX_LOG_GROWTH = 7.0  # of a size, over the one from which its fit starts
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,33 @@ class StretchScatter:
 
 
 NO_SCATTER = StretchScatter()
+
+
+@dataclass(frozen=True)
+class ScatterSizes:
+    """The sizes from which a fit of the scatter starts, by name, and their limits."""
+
+    start: Mapping[str, float]
+    max_displacement_m: float
+    reaches_m: tuple[float, float]  # the shortest and the longest
+    speed_m_s: float  # the median on air; 0 on a plate
+
+    def build(self, names: Sequence[str], x: Array, speed_power: int = 0) -> StretchScatter:
+        """The scatter whose sizes of these names have these logarithms over those of the start."""
+        logs = dict(zip(names, np.clip(x, -MAX_LOG_GROWTH, MAX_LOG_GROWTH).tolist(), strict=True))
+        values = {name: self.start[name] * float(np.exp(log)) for name, log in logs.items()}
+        unlimited = tuple(n for n in ("friction", "loss_m_s2", "across_m_s2") if logs.get(n, 0.0) == MAX_LOG_GROWTH)
+        if "displacement_m" in names:
+            shortest, longest = self.reaches_m
+            values["displacement_m"] = min(values["displacement_m"], self.max_displacement_m)
+            values["reach_m"] = min(max(values["reach_m"], shortest), longest)
+        return StretchScatter(**values, speed_power=speed_power, speed_m_s=self.speed_m_s, unlimited=unlimited)
+
+    def drop_negligible(self, scatter: StretchScatter) -> StretchScatter:
+        """The same scatter without sizes that are far below those of the start."""
+        sizes = [n for n in ("friction", "loss_m_s2", "across_m_s2", "displacement_m") if n in self.start]
+        silent: dict[str, Any] = {n: 0.0 for n in sizes if getattr(scatter, n) < 0.02 * self.start[n]}
+        return replace(scatter, **silent)
 
 
 def correlate_displacements(one: Array, other: Array, scatter: StretchScatter) -> Array:

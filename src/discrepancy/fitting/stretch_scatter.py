@@ -9,24 +9,23 @@ likelihood gives its sizes, if the likelihood pays their price.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import V0
+from discrepancy.fitting.air_scatter import AirScatterFits, guess_air_sizes
 from discrepancy.fitting.model_fit import ModelFit, orthonormal_basis
 from discrepancy.fitting.noise_refit import RestrictedResiduals
-from discrepancy.fitting.scatter_tails import FREEDOMS, TailLikelihood
+from discrepancy.fitting.scatter_tails import TailLikelihood
 from discrepancy.fitting.stretch_moves import (
     DISPLACED,
     NO_SCATTER,
-    ON_AIR,
     ON_PLATE,
-    AirMoves,
     Moves,
+    ScatterSizes,
     StretchScatter,
     add_moves,
     correlate_displacements,
@@ -36,10 +35,6 @@ from discrepancy.noise.model import Noise, finite_cost, minimise_cost
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
 from synthcam_shared.arrays import Array
-
-SPEED_POWERS = (0, 1, 2)
-MAX_LOG_GROWTH = 7.0  # of a size, over the one from which its fit starts
-RESIDUAL_TO_PUSH = 27.0  # a constant acceleration a leaves an rms of a T^2 / 27 about a straight line, in a time T
 
 
 def add_scatter(
@@ -81,20 +76,16 @@ def fit_scatter(
     moves: Sequence[Moves] = find_moves(bare, fit.model, fit.launches[indices])
     way = float(np.median([np.hypot(*np.ptp(clip.xy, axis=0)) for clip in bare]))
     noise_m = noise.scale * float(np.median(np.concatenate([clip.claimed_std() for clip in bare])))
-    on_air = not fit.model.sliding_friction
-    start, speed = _start_on_air(left, moves, way, noise_m) if on_air else (_start_on_plate(fit, way, noise_m), 0.0)
-    reaches = 0.02 * way, 0.5 * way
-    likelihood = _ScatterLikelihood(left, moves, noise, start, max_to_noise * noise_m, reaches, speed)
-    least_gain = current_policy().min_noise_gain
-    best = likelihood.maximise_on_air(least_gain) if on_air else likelihood.maximise([*ON_PLATE, *DISPLACED])
-    if likelihood.cost(NO_SCATTER) - best.cost < least_gain + 2 * (len(best.x) - 1):
-        return NO_SCATTER
-    found = best.scatter
-    if on_air:
-        tails = TailLikelihood.of(clips, fit, noise, moves, indices)
-        found = likelihood.lengthen_tails(found, tails)
+    limits = max_to_noise * noise_m, (0.02 * way, 0.5 * way)
+    if fit.model.sliding_friction:
+        sizes = ScatterSizes(_guess_plate_sizes(fit, way, noise_m), *limits, 0.0)
+        found = _fit_on_plate(left, moves, noise, sizes)
+    else:
+        start, speed = guess_air_sizes(left, moves, way, noise_m)
+        sizes, tails = ScatterSizes(start, *limits, speed), TailLikelihood.of(clips, fit, noise, moves, indices)
+        found = _fit_on_air(AirScatterFits(tails, sizes))
         moves = tails.grow(moves, found) if found.freedom else moves
-    found = likelihood.drop_negligible(found)
+    found = sizes.drop_negligible(found)
     if not found.displacement_m:
         return found
     some = _choose_evenly([len(clip.frame) for clip in bare], max_positions)
@@ -103,120 +94,38 @@ def fit_scatter(
     return replace(found, map_log_ratio=_compare_with_map(chosen, columns, pushed, found, noise))
 
 
-Start = dict[str, float]  # sizes by name, from which a fit of the scatter starts
-
-
-def _start_on_plate(fit: ModelFit, way: float, noise_m: float) -> Start:
+def _guess_plate_sizes(fit: ModelFit, way: float, noise_m: float) -> dict[str, float]:
     """Guess the scatter on a plate; way: the median length of a path, m."""
     speed = float(np.median(np.abs(fit.launches[:, V0])))
     loss = 0.2 * max(float(fit.model.rolling_decel + fit.model.rolling_drag * speed), 1e-3)
     return {"displacement_m": noise_m, "reach_m": 0.2 * way, "friction": 0.05, "loss_m_s2": loss}
 
 
-def _start_on_air(left: RestrictedResiduals, moves: Sequence[Moves], way: float, noise_m: float) -> tuple[Start, float]:
-    """Guess the scatter on air, and the median speed, m/s; way: the median length of a path, m."""
-    lasts = np.array([np.ptp(clip.frame) / clip.fps for clip in left.clips])
-    both = zip(left.columns, left.clips, strict=True)
-    size = np.array([np.std(columns[..., -1]) * np.mean(clip.claimed_std()) for columns, clip in both])
-    push = float(np.median(RESIDUAL_TO_PUSH * size / lasts**2))
-    start = {"loss_m_s2": push, "across_m_s2": push, "lasts_s": float(np.median(lasts)) / 2}
-    # Displacements over more are like accelerations; from small ones, a descent may end at a map of the noise.
-    start |= {"displacement_m": 4 * noise_m, "reach_m": 0.06 * way}
-    return start, float(np.median(np.concatenate([move.speeds for move in moves if isinstance(move, AirMoves)])))
+def _fit_on_plate(
+    left: RestrictedResiduals, moves: Sequence[Moves], noise: Noise, sizes: ScatterSizes
+) -> StretchScatter:
+    """Fit the scatter on a plate by its restricted likelihood."""
+    names = (*ON_PLATE, *DISPLACED)
+
+    def cost(scatter: StretchScatter) -> float:
+        return replace(left, clips=add_moves(left.clips, moves, scatter)).cost(noise)
+
+    def price(x: Array) -> float:
+        return cost(sizes.build(names, x))
+
+    x = minimise_cost(price, np.zeros(len(names)))
+    return sizes.build(names, x) if _gains_enough(cost(NO_SCATTER) - finite_cost(price, x), len(x)) else NO_SCATTER
 
 
-class _ScatterFit(NamedTuple):
-    """The most likely scatter of some sizes."""
-
-    cost: float  # -2 log likelihood
-    x: Array  # logarithms of the sizes over those of the start
-    scatter: StretchScatter
+def _fit_on_air(fits: AirScatterFits) -> StretchScatter:
+    """Fit the scatter on air."""
+    best = fits.find_best()
+    return best.scatter if _gains_enough(fits.cost_without_scatter() - best.cost, len(best.x)) else NO_SCATTER
 
 
-@dataclass(frozen=True)
-class _ScatterLikelihood:
-    """The restricted likelihood of a scatter by the residuals of stretches."""
-
-    left: RestrictedResiduals
-    moves: Sequence[Moves]
-    noise: Noise
-    start: Start
-    max_displacement_m: float
-    reaches_m: tuple[float, float]  # the shortest and the longest
-    speed_m_s: float  # the median on air; 0 on a plate
-
-    def cost(self, scatter: StretchScatter) -> float:
-        """-2 log likelihood."""
-        return replace(self.left, clips=add_moves(self.left.clips, self.moves, scatter)).cost(self.noise)
-
-    def maximise(self, names: Sequence[str], x: Array | None = None, speed_power: int = 0) -> _ScatterFit:
-        """Find the most likely sizes of these names; x: where to start the first of them."""
-
-        def price(x: Array) -> float:
-            return self.cost(self._build(names, x, speed_power))
-
-        x = np.zeros(0) if x is None else x
-        x = minimise_cost(price, np.pad(x, (0, len(names) - len(x))))
-        return _ScatterFit(finite_cost(price, x), x, self._build(names, x, speed_power))
-
-    def maximise_on_air(self, least_gain: float) -> _ScatterFit:
-        """Find the most likely accelerations with their power of the speed, and displacements if they gain enough.
-
-        Without displacements, accelerations shorter than a frame take their place. From there no descent leads back to
-        long ones, so the fit with displacements starts anew.
-        """
-        best = self.maximise(ON_AIR)
-        for power in SPEED_POWERS[1:]:
-            grown = self.maximise(ON_AIR, best.x, power)
-            if not grown.cost < best.cost:
-                break
-            best = grown
-        displaced = self.maximise([*ON_AIR, *DISPLACED], speed_power=best.scatter.speed_power)
-        return displaced if displaced.cost < best.cost - least_gain else best
-
-    def lengthen_tails(self, normal: StretchScatter, tails: TailLikelihood) -> StretchScatter:
-        """The same scatter on air, or one with the tails of Student's t if that gains enough in likelihood.
-
-        Sizes are fitted in the same way without tails and with them; they start from those of `normal`. Changes of the
-        shared parameters follow from the fit before.
-        """
-        names = [n for n in (*ON_AIR, *DISPLACED) if getattr(normal, n)]
-        found, x = normal, np.log([getattr(normal, n) / self.start[n] for n in names])
-        costs = list[float]()  # without tails, then with longer and longer ones
-        for freedom in (0.0, *FREEDOMS):
-            tried = replace(found, freedom=freedom)
-            for _ in range(2):
-                shared = tails.find_multiples(tried)[1]
-
-                def price(x: Array, freedom: float = freedom, shared: Array = shared) -> float:
-                    scatter = self._build(names, x, normal.speed_power)
-                    return tails.cost(replace(scatter, freedom=freedom), shared)
-
-                x = minimise_cost(price, x)
-                tried = replace(self._build(names, x, normal.speed_power), freedom=freedom)
-            cost = tails.cost(tried, tails.find_multiples(tried)[1])
-            if costs and not cost < costs[-1]:
-                break
-            found = tried
-            costs.append(cost)
-        return found if costs[-1] < costs[0] - current_policy().min_noise_gain - 2 else normal
-
-    def drop_negligible(self, scatter: StretchScatter) -> StretchScatter:
-        """The same scatter without sizes that are far below those of the start."""
-        sizes = [n for n in ("friction", "loss_m_s2", "across_m_s2", "displacement_m") if n in self.start]
-        silent: dict[str, Any] = {n: 0.0 for n in sizes if getattr(scatter, n) < 0.02 * self.start[n]}
-        return replace(scatter, **silent)
-
-    def _build(self, names: Sequence[str], x: Array, speed_power: int) -> StretchScatter:
-        """The scatter with these logarithms of sizes over those of the start."""
-        logs = dict(zip(names, np.clip(x, -MAX_LOG_GROWTH, MAX_LOG_GROWTH).tolist(), strict=True))
-        values = {name: self.start[name] * float(np.exp(log)) for name, log in logs.items()}
-        unlimited = tuple(n for n in ("friction", "loss_m_s2", "across_m_s2") if logs.get(n, 0.0) == MAX_LOG_GROWTH)
-        if "displacement_m" in names:
-            shortest, longest = self.reaches_m
-            values["displacement_m"] = min(values["displacement_m"], self.max_displacement_m)
-            values["reach_m"] = min(max(values["reach_m"], shortest), longest)
-        return StretchScatter(**values, speed_power=speed_power, speed_m_s=self.speed_m_s, unlimited=unlimited)
+def _gains_enough(gain: float, count: int) -> bool:
+    """Tell if a scatter of so many sizes gains enough in -2 log likelihood."""
+    return gain >= current_policy().min_noise_gain + 2 * (count - 1)
 
 
 def _choose_evenly(sizes: Sequence[int], most: int) -> list[int]:
