@@ -26,6 +26,7 @@ from synthcam_shared.arrays import Array, Flags
 
 STEP_ERRORS = (ValueError, ArithmeticError)  # a step fails: no motion, a singular matrix, an overflow
 MAX_DAMPING = 1e6
+STALLED_SHARE = 0.01  # of chi^2 of poor clips, where launches are fitted only to follow a step; as `least_share`
 
 
 def fit_model(
@@ -48,9 +49,10 @@ def minimise_chi2(
 ) -> ModelFit:
     """Minimise chi^2 of all clips by Gauss-Newton steps from a fit.
 
-    A whole step is tried first, then 30 and 10 % of it, since along a bent valley a shorter step still descends. If all
-    fail, a few clips may be at fault: their launches are damped (`_find_failing_clips`), else all parameters. New
-    derivatives are taken when chi^2 falls by 20 % more or less than the old ones predict.
+    A whole step is tried first. If it fails for free stretches, their launches are fitted again after it
+    (`_fit_launches_after`). Then follow 30 and 10 % of the step, since along a bent valley a shorter step still
+    descends. If all fail, a few clips may be at fault: their launches are damped (`_find_failing_clips`), else all
+    parameters. New derivatives are taken when chi^2 falls by 20 % more or less than the old ones predict.
 
     rough: stop about 0.1 above the least chi^2, with derivatives of a point nearby, which is enough to rank models.
     Else the tolerance is 1e-3, with derivatives at the minimum.
@@ -79,6 +81,8 @@ def minimise_chi2(
         for share in (1.0, 0.3, 0.1) if fit.is_linearised_here else (1.0,):
             moved = _apply_step(whitened, fit, _interpolate(fit, values, share), share * own)
             gained = fit.chi2 - moved.chi2 if moved else -np.inf
+            if not gained > 0 and share == 1 and moved and (after := _fit_launches_after(whitened, fit, moved)):
+                gained, moved = fit.chi2 - after.chi2, after
             if gained > 0 or (few := _find_failing_clips(fit, moved, held)).any():
                 break
         if moved is None or not gained > 0:
@@ -106,6 +110,24 @@ def minimise_chi2(
                 break
             fit = here
     return fit
+
+
+def _fit_launches_after(whitened: WhitenedClips, fit: ModelFit, moved: ModelFit) -> ModelFit | None:
+    """Fit the launches again after a step of the shared parameters; None if chi^2 is still not less than before.
+
+    A strong distortion moves the start of a path by more than its derivatives predict: a change of a tenth, times a
+    displacement of some centimetres, exceeds the errors of positions many times. No step of all parameters descends far
+    in such a valley. With launches that follow, it is straight (variable projection, Golub & Pereyra). Only free
+    stretches are fitted in this way: each launch moves a single path.
+    """
+    if not (fit.names and fit.is_linearised_here and all(clip.is_stretch for clip in whitened.clips)):
+        return None
+    try:
+        start = linearise(whitened, moved.model, (), moved.launches)
+        after = minimise_chi2(whitened, start, rough=True, useful_chi2=fit.chi2, least_share=STALLED_SHARE)
+        return linearise(whitened, after.model, fit.names, after.launches) if after.chi2 < fit.chi2 else None
+    except STEP_ERRORS:
+        return None
 
 
 def _has_stalled(fit: ModelFit, moved: ModelFit, tolerance: float, least_share: float) -> bool:
