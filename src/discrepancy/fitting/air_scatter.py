@@ -57,12 +57,17 @@ class ScatterForm(NamedTuple):
         return (*ON_AIR, *DISPLACED) if self.displaced else ON_AIR
 
     def neighbours(self) -> Iterator[ScatterForm]:
-        """Forms with longer or shorter tails, another power of the speed, and with or without displacements."""
-        for name, values in (("freedom", (0.0, *FREEDOMS[::-1])), ("power", SPEED_POWERS)):
-            at = values.index(getattr(self, name))
-            for k in (at - 1, at + 1):
-                if 0 <= k < len(values):
-                    yield self._replace(**{name: values[k]})
+        """Forms with longer or shorter tails, another power of the speed, and with or without displacements.
+
+        The tails form a ring, so that those without any are next to the longest and to the shortest ones.
+        """
+        tails = (0.0, *FREEDOMS)
+        at = tails.index(self.freedom)
+        for k in (at - 1, (at + 1) % len(tails)):
+            yield self._replace(freedom=tails[k])
+        for power in (self.power - 1, self.power + 1):
+            if power in SPEED_POWERS:
+                yield self._replace(power=power)
         yield self._replace(displaced=not self.displaced)
 
 
