@@ -1,8 +1,8 @@
 """Fits the scatter of bodies on air: its sizes, how it grows with the speed, its tails, and displacements.
 
-A few stretches may have accelerations many times those of others. A scatter without long tails would follow them, so
-the choices beside such a scatter are wrong: whether it grows with the speed, how long it lasts, and whether positions
-are displaced as well. All forms of the scatter are therefore compared by one likelihood, which has the tails.
+A few stretches may have accelerations many times those of others. A scatter without long tails follows these few. It
+then tells wrongly how accelerations grow with the speed, how long they last, and whether positions are displaced. All
+forms of the scatter are therefore compared by one likelihood, which has the tails.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def guess_air_sizes(
 
 
 class ScatterForm(NamedTuple):
-    """What a scatter on air consists of, beside its sizes."""
+    """The parts of a scatter on air."""
 
     power: int = 0  # of the speed, to which accelerations are proportional
     freedom: float = 0.0  # of Student's t; 0: no tails
@@ -119,8 +119,8 @@ class AirScatterFits:
     def _find_better(self, known: AirFit) -> AirFit | None:
         """Find the first neighbour that is better; None if there is none.
 
-        Accelerations shorter than a frame take the place of displacements or of tails. From there no descent leads back
-        to long ones, so these forms are fitted from the start of all sizes as well.
+        A scatter that lacks displacements or tails has accelerations shorter than a frame instead. No descent leads
+        back from there, so forms with displacements or tails are fitted from the start of all sizes as well.
         """
         for form in known.form.neighbours():
             x = known.x[: len(form.names)]

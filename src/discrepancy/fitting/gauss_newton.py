@@ -49,7 +49,7 @@ def minimise_chi2(
 ) -> ModelFit:
     """Minimise chi^2 of all clips by Gauss-Newton steps from a fit.
 
-    A whole step is tried first. If it fails for free stretches, their launches are fitted again after it
+    A whole step is tried first. If it fails for bodies on air, their launches are fitted again after it
     (`_fit_launches_after`). Then follow 30 and 10 % of the step, since along a bent valley a shorter step still
     descends. If all fail, a few clips may be at fault: their launches are damped (`_find_failing_clips`), else all
     parameters. New derivatives are taken when chi^2 falls by 20 % more or less than the old ones predict.
@@ -115,12 +115,12 @@ def minimise_chi2(
 def _fit_launches_after(whitened: WhitenedClips, fit: ModelFit, moved: ModelFit) -> ModelFit | None:
     """Fit the launches again after a step of the shared parameters; None if chi^2 is still not less than before.
 
-    A strong distortion moves the start of a path by more than its derivatives predict: a change of a tenth, times a
-    displacement of some centimetres, exceeds the errors of positions many times. No step of all parameters descends far
-    in such a valley. With launches that follow, it is straight (variable projection, Golub & Pereyra). Only free
-    stretches are fitted in this way: each launch moves a single path.
+    A strong distortion moves the start of a path by more than its derivatives predict. The difference may be many
+    errors of a position, so no step of all parameters descends far in such a valley. With launches that follow, it is straight (variable projection, Golub & Pereyra). Only free
+    stretches of bodies that never slide are fitted in this way: their launches have no local minima.
     """
-    if not (fit.names and fit.is_linearised_here and all(clip.is_stretch for clip in whitened.clips)):
+    glide = not fit.model.sliding_friction and all(clip.is_stretch for clip in whitened.clips)
+    if not (glide and fit.names and fit.is_linearised_here):
         return None
     try:
         start = linearise(whitened, moved.model, (), moved.launches)
