@@ -116,8 +116,9 @@ def _fit_launches_after(whitened: WhitenedClips, fit: ModelFit, moved: ModelFit)
     """Fit the launches again after a step of the shared parameters; None if chi^2 is still not less than before.
 
     A strong distortion moves the start of a path by more than its derivatives predict. The difference may be many
-    errors of a position, so no step of all parameters descends far in such a valley. With launches that follow, it is straight (variable projection, Golub & Pereyra). Only free
-    stretches of bodies that never slide are fitted in this way: their launches have no local minima.
+    errors of a position, so no step of all parameters descends far in such a valley. With launches that follow, it is
+    straight (variable projection, Golub & Pereyra). Only free stretches of bodies that never slide are fitted in this
+    way: their launches have no local minima.
     """
     glide = not fit.model.sliding_friction and all(clip.is_stretch for clip in whitened.clips)
     if not (glide and fit.names and fit.is_linearised_here):
