@@ -120,8 +120,9 @@ def _fit_launches_after(whitened: WhitenedClips, fit: ModelFit, moved: ModelFit)
     straight (variable projection, Golub & Pereyra). Only free stretches of bodies that never slide are fitted in this
     way: their launches have no local minima.
     """
-    glide = not fit.model.sliding_friction and all(clip.is_stretch for clip in whitened.clips)
-    if not (glide and fit.names and fit.is_linearised_here):
+    if not (len(fit.launches) and fit.names and fit.is_linearised_here):
+        return None
+    if fit.model.sliding_friction or not all(clip.is_stretch for clip in whitened.clips):
         return None
     try:
         start = linearise(whitened, moved.model, (), moved.launches)
