@@ -24,7 +24,7 @@ Words = Sequence[str | os.PathLike[str]]
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a command left: its exit status, what it printed, and the folder in which it ran.
+    """The end of a command: its exit status, what it printed, and the folder in which it ran.
 
     The status is None for a command that was ended because it took too long.
     """
@@ -48,7 +48,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came out, in a few words, and whether it is right."""
+    """A few words about the outcome, and whether it is right."""
 
     got: str
     right: bool

@@ -148,7 +148,7 @@ def list_cases() -> list[Case]:
         typed = next(typed for typed in every if typed.encode("utf-8", "replace").decode().startswith(begin))
         faults.append(Case("commands", kind, write_faulty(typed), Refused((every[typed],))))
     limits: dict[str, tuple[Callable[[Path], Words], Judge]] = {
-        "1,000 balls in 10 frames": (write_crowd(1000, 10), Said(("clip",))),
+        "1,000 balls in 10 frames": (write_crowd(1000, 10), Said(("No two balls touch",))),
         "10^5 particles in 10^6 rows": (
             write_crowd(100_000, 10), Refused(("100000 particles, expected at most", "max_particles", "--settings")),
         ),

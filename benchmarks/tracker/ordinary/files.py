@@ -53,7 +53,7 @@ def list_files(inputs: Path) -> list[Case]:
     known["conf0.txt"] = (score, Scored(PERFECT))
     known["zero_based.txt"] = (score, Scored(PERFECT, ("frames count from 0",)))
     known["empty.txt"] = (score, Scored({"hota": 0.0, "false": 0}))
-    known["empty.txt "] = ((*measure, "cam.json"), Said(("no",)))
+    known["empty.txt "] = ((*measure, "cam.json"), Said(("a result without a detection",)))
 
     def copy(name: str, words: tuple[str, ...]) -> Case:
         command, *options = words

@@ -18,6 +18,7 @@ from benchmarks.tracker.ordinary.sources import film_discs, film_glints, film_un
 
 video: Any = importlib.import_module("tracker_video")
 Writer = Callable[[Path], Path]
+TWICE = "every frame twice"
 LOST = (30, 31, 32, 40, 47, 48)  # frames that a camera dropped
 
 
@@ -139,17 +140,14 @@ def write_deltas(folder: Path) -> Path:
     return folder / "film.ome.tif"
 
 
-def list_cases() -> list[Case]:
-    """Cases of axes, of pixels, of times and of folders."""
-    truth, glints = film_glints().truth, track
+def list_axes() -> dict[str, tuple[Writer, Measured]]:
+    """Stacks with axes that are not time, and pixels that are not light."""
+    truth = film_glints().truth
     two = Measured(truth, says=("channel 0 of 2",))
-    twice, kept = np.repeat(np.arange(60), 2), [k for k in range(60) if k not in LOST]
-    slow = {**film_discs().truth}
-    axes = {
-        "OME-TIFF with two channels": (write_tiff("film.ome.tif", add_channel, metadata={"axes": "TCYX"}), two),
-        "ImageJ TIFF with two channels": (
-            write_tiff("film.tif", add_channel, imagej=True, metadata={"axes": "TCYX"}), two,
-        ),
+    axes = {"axes": "TCYX"}
+    return {
+        "OME-TIFF with two channels": (write_tiff("film.ome.tif", add_channel, metadata=axes), two),
+        "ImageJ TIFF with two channels": (write_tiff("film.tif", add_channel, imagej=True, metadata=axes), two),
         "Zarr with two channels": (write_zarr, two),
         "NetCDF with two channels, before time": (write_netcdf, two),
         "planar RGB": (
@@ -162,9 +160,16 @@ def list_cases() -> list[Case]:
         "palette": (write_palette, Measured(truth, says=("palette",))),
         "16 bits": (write_tiff("film.tif", lambda frames: frames.astype(np.uint16)), Measured(truth)),
     }  # fmt: skip
-    times = {
+
+
+def list_times() -> dict[str, tuple[Writer, Measured]]:
+    """Films whose frames are not evenly spaced, or not those of the camera's rate."""
+    truth = film_glints().truth
+    twice, kept = np.repeat(np.arange(60), 2), [k for k in range(60) if k not in LOST]
+    missing = Measured(truth, says=("6 frames are missing",))
+    return {
         "MKV with dropped frames that the time stamps show": (
-            write_lossless(lambda k: -1 if k in LOST else k, 250), Measured(truth, says=("6 frames are missing",)),
+            write_lossless(lambda k: -1 if k in LOST else k, 250), missing,
         ),
         "time stamps of playback at 25 frames a second": (
             write_lossless(lambda k: k, 25), Measured(truth, says=("a factor of 10",)),
@@ -172,29 +177,26 @@ def list_cases() -> list[Case]:
         "pictures with every second number": (
             write_pictures(range(0, 60, 2), range(0, 60, 2)), Measured(truth, says=("one frame in 2",)),
         ),
-        "pictures with six numbers missing": (
-            write_pictures(kept, kept), Measured(truth, says=("6 frames are missing",)),
-        ),
-        "every frame twice": (
-            write_tiff("film.tif", lambda frames: frames[twice]), Measured(truth, says=("60 frames repeat",)),
-        ),
-        "OME-TIFF with DeltaT of lost frames": (write_deltas, Measured(truth, says=("6 frames are missing",))),
+        "pictures with six numbers missing": (write_pictures(kept, kept), missing),
+        TWICE: (write_tiff("film.tif", lambda frames: frames[twice]), Measured(truth, says=("60 frames repeat",))),
+        "OME-TIFF with DeltaT of lost frames": (write_deltas, missing),
     }  # fmt: skip
-    folders = {
-        "._ files of macOS and Thumbs.db": (
-            write_pictures(range(60), range(60), hidden=True), Measured(truth, says=("hidden files",)),
-        ),
-    }  # fmt: skip
-    cases = [
-        Case(topic, kind, glints(write, **changes(kind)), judge)
-        for topic, kinds in (("axes", axes), ("times", times), ("folders", folders))
-        for kind, (write, judge) in kinds.items()
-    ]
+
+
+def list_cases() -> list[Case]:
+    """Cases of axes, of pixels, of times and of folders."""
+    truth, slow = film_glints().truth, film_discs().truth
+    hidden = write_pictures(range(60), range(60), hidden=True), Measured(truth, says=("hidden files",))
+    topics = {"axes": list_axes(), "times": list_times(), "folders": {"._ files of macOS and Thumbs.db": hidden}}
+    rates: dict[str, dict[str, Any]] = {TWICE: {"fps": 500.0}}
+    exchanged = write_tiff(
+        "film.tif", lambda frames: add_channel(frames)[:, ::-1], imagej=True, metadata={"axes": "TCYX"}
+    )
     return [
-        *cases,
-        Case("axes", "the second of two channels, by --select", glints(
-            write_tiff("film.tif", lambda frames: add_channel(frames)[:, ::-1], imagej=True,
-                       metadata={"axes": "TCYX"}), film_glints, "--select", "C=1"), Measured(truth)),
+        *(Case(topic, kind, track(write, **rates.get(kind, {})), judge)
+          for topic, kinds in topics.items() for kind, (write, judge) in kinds.items()),
+        Case("axes", "the second of two channels, by --select",
+             track(exchanged, film_glints, "--select", "C=1"), Measured(truth)),
         Case("times", "MP4 with a dropped frame", track(write_dropped_mp4, film_discs),
              Measured(slow, says=("2 frames are missing",))),
         Case("times", "MKV of a phone, frames 4 to 12 ms apart",
@@ -203,8 +205,3 @@ def list_cases() -> list[Case]:
         Case("times", "interlaced", track(write_interlaced, film_discs, fps=60),
              Measured(slow, says=("fields", "the upper first"))),
     ]  # fmt: skip
-
-
-def changes(kind: str) -> dict[str, Any]:
-    """Keys of camera.json that a kind of film needs: a film with every frame twice has twice the rate."""
-    return {"fps": 500.0} if kind == "every frame twice" else {}

@@ -245,5 +245,5 @@ class Unchanged:
 
 
 def read_bytes(path: Path) -> bytes:
-    """What a file holds; nothing for one that is gone."""
+    """The bytes of a file; none for one that is gone."""
     return path.read_bytes() if path.is_file() else b""

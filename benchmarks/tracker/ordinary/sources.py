@@ -1,4 +1,4 @@
-"""What the inputs are made from: simulated collisions, films of them, and tables of their positions."""
+"""Sources of the inputs: simulated collisions, films of them, and tables of their positions."""
 
 from __future__ import annotations
 

@@ -164,6 +164,11 @@ def list_cases() -> list[Case]:
         Case("score", "confidence 0", score(score_mot(confidence=0), score_mot()), perfect()),
         Case("score", "frames from 0", score(score_mot(0), score_mot()), perfect(("frames count from 0",))),
         Case("score", "an empty result", score("", score_mot()), Scored({"hota": 0.0, "missed": 120, "false": 0})),
-        Case("tables", "an empty result", measure("t.csv", write_text("frame,particle,x,y\n")), Said(("no",))),
+        Case(
+            "tables",
+            "an empty result",
+            measure("t.csv", write_text("frame,particle,x,y\n")),
+            Said(("too few detections",)),
+        ),
     ]
     return cases

@@ -237,7 +237,7 @@ def list_cases() -> list[Case]:
             table(lambda path: write_table(path, (1,), scale=0.16)), Refused(("positions look like mm", "--unit mm")),
         ),
         "v0: 30": (generate_too_fast, Said(("lower launch.v0",))),
-        "a film with camera.json beside it": (write_beside, Said(("camera.json",))),
+        "a film with camera.json beside it": (write_beside, Said(("camera: camera.json; --camera takes another",))),
         "H.264 copy of a film of glints": (
             track(write_copy("film.mp4", "libx264", "yuv420p", crf="23")), lossy,
         ),

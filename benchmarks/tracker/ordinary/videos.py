@@ -61,7 +61,7 @@ def encode_container(folder: Path, name: str) -> Path:
     codec, pixels, written = CONTAINERS[name]
     frames = film_discs().frames
     codes = to_limited(frames) if pixels == "yuv420p" else frames
-    rate = 25 if name in ("film.mxf", "film.gif") else 60  # MPEG-2 has no 120 frames a second, nor has GIF
+    rate = 25 if name in ("film.mxf", "film.gif") else 60  # neither MPEG-2 nor GIF has 120 a second
     options = {"crf": "12", "b": "8000000", "qmin": "2", "qmax": "2"}
     options = {"gif": {}, "libvpx-vp9": {"crf": "12", "b": "0"}}.get(codec, options)
     path = video.encode(folder / (written or name), codes, codec, pixels, rate=rate, options=options)
