@@ -146,7 +146,7 @@ def extend_dataset(program: Program, folder: Path, words: Words) -> Outcome:
 
 
 PYTHON: dict[str, tuple[str, Judge]] = {
-    "measure_all of a table of three clips": (
+    "measure_all of a table of two clips": (
         """
 one = pd.read_csv("t.csv")
 table = pd.concat([one.assign(clip=clip) for clip in (3, 7)])
