@@ -111,10 +111,9 @@ def _share_friction(
     value[MU_K], response[MU_K] = own.value[MU_K], own.response[MU_K]
     cov[MU_K] = cov[:, MU_K] = 0.0
     cov[MU_K, MU_K] = own.cov[MU_K, MU_K]
-    if estimate.cov_of_known is not None and own.cov_of_known is not None:  # a part of cov, never more
+    if estimate.cov_of_known is not None:  # balances of momentum do not show how large the errors of friction are
         known = estimate.cov_of_known.copy()
         known[MU_K] = known[:, MU_K] = 0.0
-        known[MU_K, MU_K] = own.cov_of_known[MU_K, MU_K]
         estimate = replace(estimate, cov_of_known=known)
     unseen = estimate.unseen - {"mu_k"} | (own.unseen & {"mu_k"})
     return replace(estimate, value=value, cov=cov, response=response, unseen=unseen)

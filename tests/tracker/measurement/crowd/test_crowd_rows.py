@@ -37,15 +37,14 @@ def test_a_ball_that_rolls_slowly_up_to_its_contact_does_not_rest(speed):
 
 
 def test_the_friction_that_a_contact_shows_alone_has_an_error():
-    """The film's friction allows for more than the error by the contact's own. Allowances of 0.3 left an error of 0."""
+    """The balances of momentum do not show that of friction. Allowances of 0.3 of another fit left an error of 0."""
     n = len(LOCAL_NAMES)
     cov, response = np.diag(np.full(n, 0.02**2)), np.zeros((n, 9))
     common = (0.1, 10.0, 10.0, 0.5, False, frozenset[str](), True)
     of_film = LocalEstimate(np.full(n, 0.2), cov, response, *common, cov_of_known=0.9 * cov)
     alone = LocalEstimate(np.full(n, 0.21), 0.6 * cov, response, *common, cov_of_known=0.1 * cov)
     shared = _share_friction(of_film, alone, FitSettings(), 0.05)
-    assert shared.cov_of_known[MU_K, MU_K] == pytest.approx(0.1 * 0.02**2)
-    assert not np.delete(shared.cov_of_known[MU_K], MU_K).any()
+    assert not shared.cov_of_known[MU_K].any()
     row = make_local_columns(shared)
     found = apply_errors(row, LocalErrors(allowances=0.3))["mu_k_local_std"]
-    assert found == pytest.approx(0.02 * np.sqrt(0.5 + 0.3**2 * 0.1), rel=1e-6)
+    assert found == pytest.approx(0.02 * np.sqrt(0.6), rel=1e-6)
