@@ -86,15 +86,21 @@ def find_repeated(frames: Frames) -> Mask:
     return np.array([False, *(change < 0.2 * maximum_filter1d(change, 11))])
 
 
-def mark_largest(colour: Callable[[Frames], Mask], least: int) -> Callable[[Frames], Iterator[Marks]]:
-    """Mark the largest region of a colour, if it has at least so many pixels; a frame that repeats has no mark."""
+def mark_largest(
+    colour: Callable[[Frames], Mask], least: int, repeats: bool = False
+) -> Callable[[Frames], Iterator[Marks]]:
+    """Mark the largest region of a colour, if it has at least so many pixels.
+
+    repeats: whether frames of the film repeat others. These have no mark.
+    """
 
     def mark(frames: Frames) -> Iterator[Marks]:
-        for frame, repeats in zip(frames, find_repeated(frames), strict=True):
+        repeated = find_repeated(frames) if repeats else np.zeros(len(frames), bool)
+        for frame, again in zip(frames, repeated, strict=True):
             mask = colour(frame)
-            regions = [] if repeats else [pixels for _, pixels in find_regions(mask)[:1] if len(pixels) >= least]
+            regions = [] if again else [pixels for _, pixels in find_regions(mask)[:1] if len(pixels) >= least]
             centres = np.array([pixels.mean(axis=0) for pixels in regions]).reshape(-1, 2)
-            yield Marks(centres, np.full(mask.shape, bool(repeats)))
+            yield Marks(centres, np.full(mask.shape, bool(again)))
 
     return mark
 
@@ -177,8 +183,8 @@ FILMS = (
     ),
     MarkedFilm("20 discs", "phys5730", "collisions.mp4", mark_single_discs(is_blue), frames=100),
     MarkedFilm("10 discs", "yupi_examples", "resources/videos/demo.avi", mark_single_discs(is_dark), frames=100),
-    MarkedFilm("rolling basketball", "Speed-of-object", "ball.mov", mark_largest(is_orange, 1000)),
-    MarkedFilm("bouncing ball", "Kalman-filter-from-scratch", "ball.mp4", mark_largest(is_bright, 300)),
+    MarkedFilm("rolling basketball", "Speed-of-object", "ball.mov", mark_largest(is_orange, 1000, repeats=True)),
+    MarkedFilm("bouncing ball", "Kalman-filter-from-scratch", "ball.mp4", mark_largest(is_bright, 300, repeats=True)),
 )
 
 
@@ -195,8 +201,13 @@ def read_film(film: MarkedFilm, clone: Path, folder: Path) -> tuple[Path, Frames
                 break
             frames.append(picture.to_ndarray(format="rgb24").astype(np.int16))
             times.append(float(picture.time))
-    since = np.array(times) - times[0]
-    return copy, np.array(frames), np.rint(since / np.median(np.diff(since))).astype(np.int64)
+    return copy, np.array(frames), number_frames(np.array(times))
+
+
+def number_frames(times: Floats) -> Ints:
+    """Number frames by their time stamps (n,), s, perhaps whole milliseconds. After a gap, numbers are left out."""
+    steps = np.diff(times)
+    return np.concatenate([[0], np.cumsum(np.rint(steps / np.median(steps)).astype(np.int64))])
 
 
 def compare(tracks: pd.DataFrame, film: MarkedFilm, frames: Frames, numbers: Ints) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from benchmarks.real.films import (
     is_orange,
     mark_largest,
     mark_single_discs,
+    number_frames,
 )
 
 ORANGE, GREY, WHITE = (230, 140, 20), (100, 100, 100), (255, 255, 255)
@@ -31,7 +32,7 @@ def draw(discs: list[tuple[float, float]], radius: float, colour: tuple[int, int
 def test_the_largest_orange_region_is_marked_and_a_repeated_frame_is_not() -> None:
     frames = np.array([draw([(x, 50.0)], 9, ORANGE) for x in (30.0, 45.0, 45.0, 60.0, 75.0)])
     assert find_repeated(frames).tolist() == [False, False, True, False, False]
-    centres = [marks.centres.tolist() for marks in mark_largest(is_orange, 100)(frames)]
+    centres = [marks.centres.tolist() for marks in mark_largest(is_orange, 100, repeats=True)(frames)]
     assert centres == [[[30, 50]], [[45, 50]], [], [[60, 50]], [[75, 50]]]
 
 
@@ -54,3 +55,10 @@ def test_positions_are_counted_by_the_numbers_of_the_frames() -> None:
     assert np.isclose(found["rms_px"], np.sqrt(25 / 3))
     shifted = compare(pd.DataFrame(rows, columns=["frame", "x", "y"]), film, frames, np.arange(4))
     assert shifted["found"] == 2
+
+
+def test_frames_are_numbered_by_time_stamps_that_are_rounded_and_have_gaps() -> None:
+    times = np.round(34.5e-3 * np.array([0, 1, 2, 3, 5, 6, 9]), 3)
+    assert number_frames(times).tolist() == [0, 1, 2, 3, 5, 6, 9]
+    long = np.round(34.5e-3 * np.arange(200), 3)
+    assert number_frames(long).tolist() == list(range(200))
