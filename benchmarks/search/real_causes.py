@@ -24,7 +24,10 @@ each set says what was put in, what was named, and with which value. Free stretc
 recordings, as the effect `clock_error` proves: there the right answer is to name nothing.
 
 A run that was stopped continues: sets whose line the output has are not searched again. Each line says by which commit
-it was made. The table of docs/real_tracks.md is printed at the end, or from an output with --table.
+it was made. The tables of docs/real_tracks.md are printed at the end, or from an output with --table.
+
+--minutes is the limit of a search by the clock. A busy machine may reach it, and the search then names nothing. Such a
+line says `cut_short`, the table counts it as not named, and a run that continues searches that set again.
 
 The tracks have small accelerations and distortions of their own. `own` is what the set without a cause shows of the
 effect, by one linear step from its base model. `z` is the error of the size, found less own, in its standard errors.
@@ -76,6 +79,17 @@ from tracker.measurement.positions import BallTrack, to_ball_tracks
 from tracker.measurement.stretch_cuts import measure_path_noise
 from tracker.tables.read import read_frame
 
+TIMES = (5.0, 10.0)  # strengths, in detection limits
+LABORATORY_WORDS = {"3cushiontool": "billiards", "TIF083-Expfys1A": "pucks", "TIF083A": "discs"}
+CAUSE_WORDS = {  # in the order of the tables
+    "none": "none",
+    **{f"acceleration to {degrees} deg": f"acceleration to {degrees}°" for degrees in (20, 110, 200)},
+    "lens +1": "pincushion distortion",
+    "lens -1": "barrel distortion",
+    "aspect": "x axis longer",
+    "time": "all times longer",
+    "time of half": "every second time longer",
+}
 SHOWN = "set cause times strength shown named false size own own_std std z verdict seconds".split()
 ROLLING_SHARE, SLIP_SHARE = 5 / 7, 2 / 7  # of a push, and of the slip in the velocity, for a solid ball
 ON_CLOTH = {"restitution": 0.95, "sliding_friction": 0.2, "spin_transfer": 0.1, "rolling_decel": 0.04}
@@ -344,6 +358,7 @@ def run_set(given: CausedSet, minutes: float) -> dict[str, Any]:
     line |= {"times": given.times, "strength": given.strength}
     found = search(given.clips, given.model, seconds=60 * minutes, stretches=True)
     line |= {"verdict": str(found.verdict), "seconds": round(time.process_time() - begun, 1)}
+    line["cut_short"] = found.interrupted is not None
     line["claims"] = [
         {"effect": c.effect, "aliases": c.aliases[1:], "sigma": round(c.sigma, 1), "values": c.values, "std": c.std}
         for c in found.claims
@@ -406,7 +421,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("out/real_causes.jsonl"))
     given = parser.parse_args()
     if given.table:
-        print(render_table([json.loads(line) for line in given.table.read_text().splitlines()]))
+        print(render_tables(read_lines(given.table)))
         return
     if not given.sources:
         raise SystemExit(f"expected paths to clones of {', '.join(LABORATORIES)}, or sets written with --prepare")
@@ -417,7 +432,7 @@ def main() -> None:
             (given.prepare / f"{one.name}.pkl").write_bytes(pickle.dumps(one.clips))
         return
     given.output.parent.mkdir(parents=True, exist_ok=True)
-    known = [json.loads(line) for line in given.output.read_text().splitlines()] if given.output.exists() else []
+    known = [line for line in read_lines(given.output) if not line.get("cut_short")] if given.output.exists() else []
     done = {(line["set"], line["cause"], line["times"]): line for line in known}
     masses = any("mass".startswith(only[:4]) for only in given.only.split(","))
     masses = masses and not any(line["cause"] == "mass of ball a" for line in known)
@@ -428,7 +443,7 @@ def main() -> None:
         searched = run_all(sets, tuple(given.only.split(",")), given.minutes, given.jobs, done)
         for line in itertools.chain(recoils, searched):
             show(line | {"commit": commit}, file)
-    print(render_table([json.loads(line) for line in given.output.read_text().splitlines()]))
+    print(render_tables(read_lines(given.output)))
 
 
 def show(line: dict[str, Any], file: IO[str]) -> None:
@@ -444,25 +459,92 @@ def find_commit() -> str:
     return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
 
 
-def render_table(lines: Sequence[dict[str, Any]]) -> str:
-    """Render the lines of sets as a table, with the sums of what was named; sizes are those found, less own."""
-    sets = sorted((line for line in lines if line["cause"] != "mass of ball a"), key=lambda line: line["set"])
-    rows = ["| set | cause | times the limit | result | size over the true one, distance in errors | commit |"]
-    rows.append("|---|---|---|---|---|---|")
-    for line in sets:
-        false = f"false: {', '.join(line['false'])}" if line["false"] else ""
-        named = "named" if line["named"] else f"nothing named ({line['verdict']})"
-        size = ""
-        if line.get("z") is not None:  # the distance of the size, less own, from the strength, in errors
-            size = f"{1 + line['z'] * line['std'] / line['strength']:.2f}, {abs(line['z']):.1f}"
-        result = false if false and not line["named"] else ", ".join(filter(None, [named, false]))
-        times = f"{line['times']:.3g}" if line["shown"] else ""
-        rows.append(f"| {line['set']} | {line['cause']} | {times} | {result} | {size} | {line.get('commit', '')} |")
-    shown = [line for line in sets if line["shown"]]
-    sums = f"named {sum(line['named'] for line in shown)} of {len(shown)} causes with a limit; "
-    return "\n".join(
-        [*rows, "", sums + f"a false name in {sum(bool(line['false']) for line in sets)} of {len(sets)} sets"]
-    )
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """Read the lines of an output; of a set that was searched again, the last one."""
+    every = [json.loads(line) for line in path.read_text().splitlines()]
+    return list({(line["set"], line["cause"], line["strength"]): line for line in every}.values())
+
+
+# --- Tables ---
+
+
+def render_tables(lines: Sequence[dict[str, Any]]) -> str:
+    """Render the lines of sets as a table of results, one of their sums, and the commits that made them."""
+    sets = [line for line in lines if line["cause"] != "mass of ball a"]
+    commits = ", ".join(sorted({line.get("commit", "unknown") for line in sets}))
+    return "\n\n".join([render_results(sets), render_sums(sets), f"commits: {commits}"])
+
+
+def render_results(lines: Sequence[dict[str, Any]]) -> str:
+    """Render a row for each set and cause, with its strengths side by side."""
+    rows = ["| set | cause | 5 times the limit | 10 times the limit |", "|---|---|---|---|"]
+    for (name, cause), group in _group(lines, lambda line: (line["set"], line["cause"])).items():
+        weak, *strong = sorted(group, key=lambda line: float(line["strength"]))
+        cells = [_describe_result(line) for line in (weak, *strong)] + [""] * (not strong)
+        rows.append(f"| {_name_set(name)} | {CAUSE_WORDS[cause]} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def _describe_result(line: Mapping[str, Any]) -> str:
+    """Describe a result, with the size over the true one, less own, and its distance in errors."""
+    if line.get("cut_short"):
+        return "cut short"
+    false = f"false: {', '.join(line['false'])}" if line["false"] else ""
+    if not line["named"]:
+        return false or f"nothing named (`{line['verdict']}`)"
+    parts = []
+    if line.get("z") is not None:
+        parts = [f"{1 + line['z'] * line['std'] / line['strength']:.2f}", f"{abs(line['z']):.1f}"]
+    if line["shown"] and not any(math.isclose(line["times"], times) for times in TIMES):
+        parts.append(f"{line['times']:.1f} times")
+    named = f"named ({', '.join(parts)})" if parts else "named"
+    return f"{named}, {false}" if false else named
+
+
+def render_sums(lines: Sequence[dict[str, Any]]) -> str:
+    """Render what was named in each laboratory, and how far sizes, less own, are from those put in."""
+    rows = [
+        "| sets | number | false names | with a limit | named | sizes | rms distance | within 1 error | within 1.96 |"
+    ]
+    rows.append("|---|---|---|---|---|---|---|---|---|")
+    groups = _group(lines, lambda line: f"{LABORATORY_WORDS[find_laboratory(line['set'])]}, {_name_kind(line)}")
+    for title, group in {**groups, "all": lines}.items():
+        shown = [line for line in group if line["shown"]]
+        z = np.array([line["z"] for line in shown if line.get("z") is not None])
+        counts = [
+            len(group),
+            sum(bool(line["false"]) for line in group),
+            len(shown),
+            sum(line["named"] for line in shown),
+        ]
+        sizes = [f"{np.sqrt(np.mean(z**2)):.1f}", (abs(z) <= 1).sum(), (abs(z) <= 1.96).sum()] if len(z) else [""] * 3
+        rows.append("| " + " | ".join(map(str, [title, *counts, len(z) or "", *sizes])) + " |")
+    return "\n".join(rows)
+
+
+def _name_kind(line: Mapping[str, Any]) -> str:
+    if line["cause"] == "none":
+        return "no cause"
+    if not line["shown"]:
+        return "no limit"
+    return "accelerations" if line["cause"].startswith("acceleration") else "distortions"
+
+
+def _name_set(name: str) -> str:
+    laboratory, _, part = name.rpartition("-")
+    return f"{LABORATORY_WORDS[laboratory]} {int(part) + 1}"
+
+
+def _group(lines: Iterable[dict[str, Any]], key: Callable[[dict[str, Any]], Any]) -> dict[Any, list[dict[str, Any]]]:
+    """Group lines by a key, in the order of the laboratories, sets, causes and strengths."""
+
+    def order(line: dict[str, Any]) -> tuple[str, int]:
+        return _name_set(line["set"]), list(CAUSE_WORDS).index(line["cause"])
+
+    groups: dict[Any, list[dict[str, Any]]] = {}
+    for line in sorted(lines, key=order):
+        groups.setdefault(key(line), []).append(line)
+    return groups
 
 
 def find_laboratory(source: Path) -> str:
@@ -521,7 +603,7 @@ def put_causes(bare: CausedSet, line: dict[str, Any], only: tuple[str, ...]) -> 
     """Put each cause into a set, with strengths by the line of the set without one."""
     for cause in list_causes(bare.model):
         limit, done = cause.find_limit(line["information"].get(cause.effect)), 0.0
-        for times in (5.0, 10.0) if cause.name.startswith(only) else ():
+        for times in TIMES if cause.name.startswith(only) else ():
             strength = cause.otherwise * times / 5
             if limit is not None and cause.name != "time of half":
                 strength = min(times * limit, cause.largest)

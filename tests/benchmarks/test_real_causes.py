@@ -1,5 +1,6 @@
 """Causes put into tracks of others: a cause has to reach the measurement."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -104,14 +105,31 @@ def test_strengths_are_limits_or_the_largest_that_the_effect_may_have(informatio
         assert [one.times for one in found] == pytest.approx([one.strength / limit for one in found])
 
 
-def test_the_table_counts_what_is_named_and_what_is_false():
+def test_the_tables_count_what_is_named_and_what_is_false():
     bare = {"set": "3cushiontool-0", "cause": "none", "times": 0.0, "shown": False, "named": False, "false": []}
-    tilt = bare | {"cause": "acceleration to 20 deg", "shown": True, "times": 5.0, "strength": 0.2, "verdict": "named"}
-    lens = bare | {"cause": "lens +1", "shown": True, "times": 10.0, "strength": 0.2, "verdict": "none"}
-    lines = [bare | {"verdict": "none"}, tilt | {"named": True, "z": -0.5, "std": 0.04}, lens]
-    locked = lens | {"times": 5.0, "false": ["pixel_locking"]}
-    table = real_causes.render_table([*lines, locked])
-    assert "| 3cushiontool-0 | acceleration to 20 deg | 5 | named | 0.90, 0.5 |" in table
-    assert "| 3cushiontool-0 | lens +1 | 10 | nothing named (none) |" in table
-    assert "| 3cushiontool-0 | lens +1 | 5 | false: pixel_locking |" in table
-    assert table.endswith("named 1 of 3 causes with a limit; a false name in 1 of 4 sets")
+    bare |= {"strength": 0.0, "verdict": "none", "commit": "abc"}
+    tilt = bare | {"cause": "acceleration to 20 deg", "shown": True, "times": 5.0, "strength": 0.2, "std": 0.04}
+    tilt |= {"verdict": "named", "named": True, "z": -0.5}
+    strong = tilt | {"times": 7.3, "strength": 0.29, "z": 1.5, "false": ["hop"]}
+    lens = bare | {"cause": "lens +1", "shown": True, "times": 5.0, "strength": 0.2}
+    cut = lens | {"times": 10.0, "strength": 0.4, "cut_short": True, "verdict": "inadequate"}
+    locked = lens | {"set": "TIF083A-1", "false": ["pixel_locking"]}
+    table = real_causes.render_tables([locked, cut, strong, bare, lens, tilt])
+    assert (
+        "| billiards 1 | acceleration to 20° | named (0.90, 0.5) | named (1.21, 1.5, 7.3 times), false: hop |" in table
+    )
+    assert "| billiards 1 | pincushion distortion | nothing named (`none`) | cut short |" in table
+    assert "| discs 2 | pincushion distortion | false: pixel_locking |  |" in table
+    assert "| billiards, accelerations | 2 | 1 | 2 | 2 | 2 | 1.1 | 1 | 2 |" in table  # sqrt((.5^2 + 1.5^2) / 2)
+    assert "| billiards, distortions | 2 | 0 | 2 | 0 |" in table
+    assert "| all | 6 | 2 | 5 | 2 | 2 | 1.1 | 1 | 2 |" in table
+    assert table.endswith("commits: abc")
+    assert table.index("| billiards 1 | none") < table.index("| billiards 1 | acc") < table.index("| billiards 1 | pin")
+
+
+def test_a_set_that_was_searched_again_counts_once(tmp_path):
+    cut = {"set": "TIF083A-0", "cause": "lens +1", "times": 5.0, "strength": 0.2, "cut_short": True}
+    lines = [cut, cut | {"cause": "lens -1"}, cut | {"cut_short": False}]
+    (tmp_path / "out.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    found = real_causes.read_lines(tmp_path / "out.jsonl")
+    assert [(line["cause"], line["cut_short"]) for line in found] == [("lens +1", False), ("lens -1", True)]
