@@ -11,7 +11,7 @@ stretches and corrected by the warp that they show. With --prepare these sets ar
 another machine searches them without the clones. Each set then gets one known cause:
 
 - acceleration: a constant one, as of a tilted plate: in full on air and on a ball that slides, by 5/7 on a ball that
-  rolls;
+  rolls. A body that it makes faster also loses more speed, by the loss that the tracks without the cause show;
 - lens: r (1 + k r^2) about the middle of the picture;
 - aspect: one axis longer by a factor;
 - time: all times longer by a factor;
@@ -216,36 +216,40 @@ class Cause:
 def accelerate(clip: MeasuredCollision, size: float, heading: float, model: Model) -> MeasuredCollision:
     """Add a constant acceleration, m/s^2 of a body without friction, to each path before and after the contact.
 
-    model: if it has no sliding friction, the whole acts on all bodies. Else they are balls with its rolling loss: the
-    whole acts on a ball that slides, 5/7 on one that rolls. Each slide is that of the path's own best fit.
+    model: if it has no sliding friction, the whole acts on all bodies. Else they are balls: the whole acts on a ball
+    that slides, 5/7 on one that rolls. Its loss acts on the faster or slower body. Each slide is that of the path's own
+    best fit.
     """
     push, contact = size * np.array([np.cos(heading), np.sin(heading)]), float(clip.launch[T_C])
     time, xy = clip.frame / clip.fps, clip.xy.copy()
+    loss, glides = (model.rolling_decel, model.rolling_drag), model.sliding_friction == 0
     for ball, late in ((1, False), (1, True), (0, True)):
         rows = np.flatnonzero((clip.ball == ball) & ((time > contact) == late))
         if len(rows) < 3:
             continue
         since = time[rows] - (contact if late else time[rows[0]])
-        if model.sliding_friction == 0:
-            xy[rows] += since[:, None] ** 2 / 2 * push
-        else:
-            start = BallStart.of(since, clip.xy[rows])
-            loss = model.rolling_decel, model.rolling_drag
-            xy[rows] += start.move(since, push, loss) - start.move(since, np.zeros(2), loss)
+        start = BallStart.gliding(since, clip.xy[rows]) if glides else BallStart.of(since, clip.xy[rows])
+        xy[rows] += start.move(since, push, loss) - start.move(since, np.zeros(2), loss)
     return replace(clip, xy=xy)
 
 
 @dataclass(frozen=True)
 class BallStart:
-    """How a ball starts on cloth: its velocity, the acceleration of its slide (2,), m/s^2, and the end of it, s."""
+    """How a ball starts: its velocity, the acceleration of its slide (2,), m/s^2, and the end of it, s."""
 
     velocity: Array
     pull: Array
     end: float
+    share: float = ROLLING_SHARE  # of a push, after the slide
+
+    @classmethod
+    def gliding(cls, since: Array, xy: Array) -> BallStart:
+        """A body on air, whose path is a parabola."""
+        return cls(np.polyfit(since, xy, min(2, len(since) - 1))[-2], np.zeros(2), 0.0, share=1.0)
 
     @classmethod
     def of(cls, since: Array, xy: Array, max_roll: float = 0.3) -> BallStart:
-        """Fit parabolas of a slide and of the roll after it; a ball that rolls loses less than `max_roll`, m/s^2."""
+        """Fit parabolas of a slide on cloth and of the roll after it, which loses less than `max_roll`, m/s^2."""
         best = (np.inf, 0.0, np.zeros((4, 2)))
         for end in since[2:-3]:
             shapes = np.stack([np.ones_like(since), since, since**2 / 2, np.maximum(since - end, 0) ** 2 / 2], axis=-1)
@@ -270,11 +274,11 @@ class BallStart:
 
         def change(_: float, state: Array) -> Array:
             slip, rolling = state[:2], state[2:4]
-            velocity = rolling + SLIP_SHARE * slip
+            velocity = rolling + (1 - self.share) * slip
             speed = np.hypot(*velocity)
             lost = (loss[0] + loss[1] * speed) * velocity / np.hypot(speed, tiny)
             turned = push - rate * slip / np.hypot(np.hypot(*slip), tiny)
-            return np.concatenate([turned, ROLLING_SHARE * push - lost, velocity])
+            return np.concatenate([turned, self.share * push - lost, velocity])
 
         start = np.concatenate([slip, self.velocity - SLIP_SHARE * slip, np.zeros(2)])
         ends = (0.0, float(since.max()) + tiny)
@@ -366,6 +370,7 @@ def run_set(given: CausedSet, minutes: float) -> dict[str, Any]:
     line["law"] = found.free_law.law.name if found.free_law else None
     line["identifiable"] = [s.effect for s in found.scores if s.identifiable]
     seen = [s for s in found.scores if math.isfinite(s.limit)]
+    line["loss"] = {name: found.base_fit.model.value(name) for name in ("rolling_decel", "rolling_drag")}
     line["information"] = {s.effect: _measure_information(found.base_fit, s.columns).tolist() for s in seen}
     line["own"] = {s.effect: np.linalg.lstsq(*found.base_fit.information(s.columns))[0].tolist() for s in seen}
     line["scatter"] = vars(found.data.scatter)
@@ -601,7 +606,7 @@ def run_all(
 
 def put_causes(bare: CausedSet, line: dict[str, Any], only: tuple[str, ...]) -> Iterator[CausedSet]:
     """Put each cause into a set, with strengths by the line of the set without one."""
-    for cause in list_causes(bare.model):
+    for cause in list_causes(bare.model.replace(line["loss"])):
         limit, done = cause.find_limit(line["information"].get(cause.effect)), 0.0
         for times in TIMES if cause.name.startswith(only) else ():
             strength = cause.otherwise * times / 5

@@ -57,6 +57,23 @@ def test_an_acceleration_moves_a_ball_as_a_tilted_plate_does(speed, slip, loss):
     assert moved == pytest.approx(bent - straight, abs=0.005 * scale)
 
 
+@pytest.mark.parametrize("drag", [0.0, 1.0])
+def test_an_acceleration_on_air_meets_the_loss(drag):
+    """With v' = -drag v and a push, the path differs by the closed form, whatever the velocity is."""
+    launch = np.array([0.0, 0.0, 0.0, 0.5, 0.3, MEETS_NOTHING, 0.0, 0.0, 0.0])
+    clip = blank(0, launch, np.zeros(2))
+    clip = replace(clip.select(np.flatnonzero(clip.ball == 1)), launch=launch)
+    air = Model().replace({"sliding_friction": 0.0, "rolling_drag": drag, "rolling_decel": 0.0})
+    (straight,) = predict_tracks(air, launch[None], [clip])
+    moved = real_causes.accelerate(replace(clip, xy=straight), 0.2, 1.9, air).xy - straight
+    since = clip.frame / clip.fps
+    late = since > 0
+    path = (since / drag - (1 - np.exp(-drag * since)) / drag**2) if drag else since**2 / 2
+    expected = 0.2 * path[:, None] * [np.cos(1.9), np.sin(1.9)]
+    assert late.sum() > 10
+    assert moved[late] == pytest.approx(expected[late], abs=1e-3 * np.abs(expected).max())
+
+
 def test_every_second_clip_of_a_set_has_the_other_times():
     """The sets of a laboratory take every second recording, whose numbers are all even or all odd."""
     clips = [blank(number, np.array([0.0, 0.0, 0.1, 0.5, 0.0, 0.0]), np.zeros(2)) for number in (0, 2, 4, 6)]
@@ -97,7 +114,7 @@ def test_strengths_are_limits_or_the_largest_that_the_effect_may_have(informatio
     """A plate tilts by 0.1 rad at most, which on air is 5/7 of 0.1 g or 0.7 m/s^2; 0.8 of it are put in."""
     model = Model().replace({"sliding_friction": 0.0})
     bare = real_causes.CausedSet("TIF083A-0", [], model)
-    line = {"information": {"plate_tilt": (information * np.eye(2)).tolist()}}
+    line = {"information": {"plate_tilt": (information * np.eye(2)).tolist()}, "loss": {"rolling_drag": 0.1}}
     found = list(real_causes.put_causes(bare, line, ("acceleration to 20 ",)))
     assert [one.strength for one in found] == pytest.approx(strengths, rel=0.01)
     if information > 1e3:
