@@ -24,13 +24,13 @@ from pathlib import Path
 import pandas as pd
 
 from benchmarks.harness import ROOT
-from benchmarks.tracker.ordinary import colours, commands, contacts, films, interrupts, tables, users, videos
+from benchmarks.tracker.ordinary import colours, commands, contacts, films, interrupts, large, tables, users, videos
 from benchmarks.tracker.ordinary.case import Case, Program, Row, judge_case
 from benchmarks.tracker.ordinary.files import list_files
 
 TOPICS: tuple[Callable[[], Sequence[Case]], ...] = (
     films.list_cases, videos.list_cases, tables.list_cases, contacts.list_cases, colours.list_cases, users.list_cases,
-    commands.list_cases, interrupts.list_cases,
+    commands.list_cases, interrupts.list_cases, large.list_cases,
 )  # fmt: skip
 
 

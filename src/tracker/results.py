@@ -169,7 +169,7 @@ def gather_estimates(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
 def make_estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Make the table of estimates in RESULTS, one row a collision; None of JSON stands for NaN."""
     table = pd.DataFrame([replace_non_finite(row) for row in rows])
-    text_columns = "cov status striker noise flags motion_local local local_shared recommended why".split()
+    text_columns = "cov status striker noise flags extrapolated motion_local local local_shared recommended why".split()
     for name in table.columns:
         if table[name].dtype == object and name not in text_columns:
             table[name] = table[name].astype(float)

@@ -11,14 +11,16 @@ from benchmarks.harness import ROOT
 from benchmarks.tracker import ordinary_inputs
 from benchmarks.tracker.ordinary import case as cases
 from benchmarks.tracker.ordinary.case import Case, Outcome, Program, judge_case, run_to_the_end
+from benchmarks.tracker.ordinary.contacts import Impact, NotOk
 from benchmarks.tracker.ordinary.judges import Either, Found, Measured, Printed, Refused, Said, Scored, Unchanged
+from benchmarks.tracker.ordinary.large import Within
 
 ROW = {"status": "ok", "r": 0.901, "r_std": 0.001, "v0": 0.3, "v0_std": 1e-4, "r_paper": 0.7, "r_paper_std": np.nan}
 PLACES = np.array([[[10.0, 10.0]] * 5, [[30.0, 10.0]] * 5])
 
 
 def outcome(folder, status=0, out="", err="tracker: 6 frames are missing\n"):
-    return Outcome(status=status, out=out, err=err, folder=folder)
+    return Outcome(status=status, out=out, err=err, folder=folder, seconds=0.5)
 
 
 @pytest.fixture
@@ -49,6 +51,10 @@ def measured(tmp_path):
         (Measured({"mu_k": 0.2}), False),
         (Either(Measured({"r": 0.8}), Measured({"r": 0.9})), True),
         (Either(Measured({"r": 0.8}), Measured({"r": 0.7})), False),
+        (NotOk(("missing",)), False),
+        (Within(Said(()), 1.0), True),
+        (Within(Said(()), 0.1), False),
+        (Within(Said(("7 frames",)), 1.0), False),
         (Found(PLACES, false=1), True),
         (Found(PLACES), False),
         (Found(PLACES + 2.0, false=99), False),
@@ -65,6 +71,28 @@ def test_values_are_compared_with_what_is_right(judge, right, measured):
     assert verdict.right is right
     assert verdict.got
     assert judge.right
+
+
+@pytest.mark.parametrize(("says", "right"), [(("missing",), True), (("impossible",), False)])
+def test_a_misfit_that_is_explained_is_not_ok(says, right, measured):
+    pd.DataFrame([ROW | {"status": "misfit"}]).to_parquet(measured / "new/estimates.parquet")
+    assert NotOk(says)(outcome(measured)).right is right
+    assert not NotOk(says)(outcome(measured, status=1)).right
+
+
+def test_a_drawn_impact_keeps_momentum_and_ends_as_rolling_balls_do():
+    """Velocities long after the hit by conservation at the contact with the plate: (5 v + 2 R w x z) / 7 stays."""
+    r, c = 0.85, 0.35
+    n, v = np.array([np.sqrt(0.91), 0.3]), np.array([3.0, 0.0])
+    struck, striker = np.diff(Impact(r, mu=0.2, C=c).positions(np.array([-2.0, -1.0, 200.0, 201.0])), axis=1)[:, [0, 2]]
+    np.testing.assert_allclose(struck[0], 0, atol=1e-12)
+    np.testing.assert_allclose(striker[0], v, atol=1e-12)
+    normal = (v @ n) * n
+    kick = (1 + r) / 2 * normal + 0.4 * c * (v - normal)
+    np.testing.assert_allclose(struck[1], (5 * kick - 2 * c * normal) / 7, atol=1e-9)
+    np.testing.assert_allclose(striker[1], (5 * (v - kick) + 2 * (v - c * normal)) / 7, atol=1e-9)
+    apart = np.diff(Impact(r).positions(np.array([5.0, 6.0])), axis=1)[:, 0]
+    np.testing.assert_allclose((apart[0] - apart[1]) @ n, r * (v @ n), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,8 @@ def write_pictures(numbers: Sequence[int], frames: Sequence[int], hidden: bool =
                 (film / f"._img_{number:04d}.png").write_bytes(b"\0\5\x16\7Mac OS X")
         if hidden:
             (film / "Thumbs.db").write_bytes(b"\xd0\xcf\x11\xe0")
+            (film / ".DS_Store").write_bytes(b"\0\0\0\1Bud1")
+            cv2.imwrite(str(film / ".img_0007.png"), film_glints().frames[0])
         return film
 
     return write
@@ -150,6 +152,21 @@ def list_axes() -> dict[str, tuple[Writer, Measured]]:
         "ImageJ TIFF with two channels": (write_tiff("film.tif", add_channel, imagej=True, metadata=axes), two),
         "Zarr with two channels": (write_zarr, two),
         "NetCDF with two channels, before time": (write_netcdf, two),
+        "OME-TIFF with two focal planes": (
+            write_tiff("film.ome.tif", add_channel, metadata={"axes": "TZYX"}),
+            Measured(truth, says=("focal plane 0 of 2",)),
+        ),
+        "OME-TIFF whose planes come before time": (
+            write_tiff(
+                "film.ome.tif", lambda frames: np.moveaxis(add_channel(frames), 1, 0), metadata={"axes": "ZTYX"}
+            ),
+            Measured(truth, says=("focal plane 0 of 2",)),
+        ),
+        "samples of a pixel that differ": (
+            write_tiff("film.tif", lambda frames: np.moveaxis(add_channel(frames), 1, -1), photometric="minisblack",
+                       planarconfig="contig", extrasamples=("unspecified",)),
+            Measured(truth, says=("sample of a pixel 0 of 2",)),
+        ),
         "planar RGB": (
             write_tiff("film.tif", split_colours, photometric="rgb", planarconfig="separate"), Measured(truth),
         ),
@@ -187,7 +204,11 @@ def list_cases() -> list[Case]:
     """Cases of axes, of pixels, of times and of folders."""
     truth, slow = film_glints().truth, film_discs().truth
     hidden = write_pictures(range(60), range(60), hidden=True), Measured(truth, says=("hidden files",))
-    topics = {"axes": list_axes(), "times": list_times(), "folders": {"._ files of macOS and Thumbs.db": hidden}}
+    topics = {
+        "axes": list_axes(),
+        "times": list_times(),
+        "folders": {"._ files of macOS, hidden files and Thumbs.db": hidden},
+    }
     rates: dict[str, dict[str, Any]] = {TWICE: {"fps": 500.0}}
     exchanged = write_tiff(
         "film.tif", lambda frames: add_channel(frames)[:, ::-1], imagej=True, metadata={"axes": "TCYX"}

@@ -35,6 +35,7 @@ from synthcam.scene.scene import Scene
 
 MOMENTS_S = (0.08, 0.15, 0.25, 0.4, 0.6, 0.9, 1.3, 2.0)  # of processor time of the command's first process
 COLLISIONS = 7
+FILMS = 40  # so many that the last interrupt comes before their end
 LEFT = re.compile(r"about \d+ s[^a-z]*(?:, at most [\d.]+ min)? left")
 
 
@@ -138,7 +139,7 @@ def generate(folder: Path) -> Words:
 
 def track_films(folder: Path) -> Words:
     """A dataset of many films of glints, tracked by two processes."""
-    for k in range(12):
+    for k in range(FILMS):
         clip = folder / f"dataset/clips/{k:06d}"
         clip.mkdir(parents=True)
         tifffile.imwrite(clip / "frames.tif", film_glints().frames)

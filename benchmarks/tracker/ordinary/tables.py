@@ -116,6 +116,12 @@ def score_mot(first: int = 1, confidence: int = 1) -> str:
     return str(dialects.write_mot(list_rows(), first, confidence))
 
 
+def mark_zero(line: str) -> str:
+    """A row of a truth whose seventh cell, the mark, is 0: it does not count."""
+    cells = line.split(" ")
+    return " ".join([*cells[:6], "0", *cells[7:]])
+
+
 def list_cases() -> list[Case]:
     """Cases of tables."""
     fine: Judge = Measured(film_glints().truth)
@@ -159,9 +165,17 @@ def list_cases() -> list[Case]:
         Case("tables", f"refused: {name}", measure("t.txt", write_text(text)), Refused(("t.txt", *says)))
         for name, (text, says) in refused.items()
     ]
+    found = score_mot().splitlines(keepends=True)
+    unmarked = [line if k % 3 == 0 else mark_zero(line) for k, line in enumerate(found)]
     perfect = partial(Scored, {"hota": 1.0, "missed": 0, "false": 0})
     cases += [
         Case("score", "confidence 0", score(score_mot(confidence=0), score_mot()), perfect()),
+        Case(
+            "score",
+            "a truth with marks 0, which do not count",
+            score("".join(found[::3]), "".join(unmarked)),
+            Scored({"hota": 1.0, "missed": 0, "false": 0}),
+        ),
         Case("score", "frames from 0", score(score_mot(0), score_mot()), perfect(("frames count from 0",))),
         Case("score", "an empty result", score("", score_mot()), Scored({"hota": 0.0, "missed": 120, "false": 0})),
         Case(

@@ -14,7 +14,7 @@ import tifffile
 from benchmarks.harness import ROOT
 from benchmarks.tracker.ordinary.case import Case, Judge, Outcome, Program, Words, run_to_the_end
 from benchmarks.tracker.ordinary.films import write_tiff
-from benchmarks.tracker.ordinary.judges import Either, Found, Measured, Printed, Refused, Said
+from benchmarks.tracker.ordinary.judges import ERRORS, Either, Found, Measured, Printed, Refused, Said
 from benchmarks.tracker.ordinary.sources import film_glints, know_table, list_rows, measure, track, write_camera
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import read_scene
@@ -32,7 +32,22 @@ def spot(frame):
     centres = ndimage.center_of_mass(light, labels, range(1, count + 1))
     return [(x, y) for y, x in centres]
 '''
-READ = """import json, sys
+CLASS = '''from tracker.detection.glints import Glints
+
+from spot import spot
+
+
+class Spots:
+    """The same as a class, which is made for each film."""
+
+    def __init__(self, view):
+        self.camera = view.camera
+
+    def __call__(self, frame):
+        x, y = zip(*spot(frame))
+        return Glints.at(x, y, std=0.1, flux=1.0)
+'''
+READ = """import inspect, json, sys
 import numpy as np
 import pandas as pd
 import synthcam
@@ -58,10 +73,10 @@ def write_table(path: Path, strikers: tuple[int, ...] = (1, 0, 1), named: bool =
 WIDE: dict[str, Any] = {"fps": 250.0, "size": [640, 480], "scale": 1.6e-4, "ball_diameter": 2.4e-3}
 
 
-def make_dataset(folder: Path, seed: int = 0) -> Path:
-    """A dataset of one clip without frames."""
+def make_dataset(folder: Path, seed: int = 0, clips: int = 1, filmed: bool = False) -> Path:
+    """A small dataset, of one clip without frames unless more is asked for."""
     scene = read_scene(ROOT / "scenes/painter_behringer.yaml", SMALL)
-    generate_dataset(GenerationPlan((scene,), 1, seed, False), folder, 1, lambda done, of: None)
+    generate_dataset(GenerationPlan((scene,), clips, seed, filmed), folder, 1, lambda done, of: None)
     return folder
 
 
@@ -106,6 +121,7 @@ def track_with(detector: str) -> Callable[[Path], Words]:
 
     def write(folder: Path) -> Path:
         (folder / "spot.py").write_text(TEN_LINES)
+        (folder / "spots.py").write_text(CLASS)
         return write_tiff("film.tif", lambda frames: frames)(folder)
 
     return track(write, film_glints, "--detector", detector)
@@ -132,13 +148,13 @@ def generate_too_fast(folder: Path) -> Words:
 
 
 def extend_dataset(program: Program, folder: Path, words: Words) -> Outcome:
-    """Make four clips, then six in the same folder."""
+    """Make forty clips, then sixty in the same folder."""
     base = [*words, *(word for key in SMALL for word in ("--set", key))]
-    first = run_to_the_end(program, folder, [*base, "--clips", "4"])
-    before = {p.name: p.read_bytes() for p in sorted(folder.glob("new/clips/*/truth/tracks.parquet"))}
-    second = run_to_the_end(program, folder, [*base, "--clips", "6"])
+    first = run_to_the_end(program, folder, [*base, "--clips", "40"])
+    before = {str(p): p.read_bytes() for p in sorted(folder.glob("new/clips/*/truth/tracks.parquet"))}
+    second = run_to_the_end(program, folder, [*base, "--clips", "60"])
     after = [p.read_bytes() for p in sorted(folder.glob("new/clips/*/truth/tracks.parquet"))]
-    kept = set(before.values()) <= set(after)
+    kept = len(before) == 40 and list(before.values()) == after[:40]
     out = f'{{"clips": {len(after)}, "kept": {str(kept).lower()}}}'
     return Outcome(
         status=second.status, out=out, err=first.err + second.err, folder=folder, seconds=first.seconds + second.seconds
@@ -155,6 +171,88 @@ every = pd.concat([result.estimates for result in results])
 print(json.dumps({"clips": every["clip"].tolist(), "r": every["r"].mean()}))
 """,
         Printed({"clips": [3, 7], "r": 0.903}, near=1e-3),
+    ),
+    "measure of a table of two clips": (
+        """
+one = pd.read_csv("t.csv")
+try:
+    tracker.measure(pd.concat([one.assign(clip=clip) for clip in (3, 7)]), camera)
+except tracker.InputError as error:
+    print(json.dumps({"error": str(error)}))
+""",
+        Printed({"error": "2 clips (3, 7), expected 1; tracker.measure_all(tracks, camera) takes them all"}),
+    ),
+    "clip of concatenated results": (
+        """
+one = pd.read_csv("t.csv")
+named = [tracker.measure(one, camera, number=4), tracker.measure(one.assign(clip=9), camera)]
+every = pd.concat([result.estimates for result in named])
+print(json.dumps({"clips": every["clip"].tolist(), "flags": every["flags"].tolist()}))
+""",
+        Printed({"clips": [4, 9], "flags": ["", ""]}),
+    ),
+    "columns with the names of attributes are documented": (
+        """
+result = tracker.measure(pd.read_csv("t.csv"), camera)
+text = " ".join(inspect.getdoc(type(result).estimates).split())
+print(json.dumps({"text": text, "clip": result.estimates["clip"].tolist()}))
+""",
+        Printed({"text": 'Take ``estimates["clip"]`` and ``estimates["flags"]`` by brackets', "clip": [0]}),
+    ),
+    "wrong arguments, each one an InputError in one line": (
+        """
+import discrepancy
+table = pd.read_csv("t.csv")
+wrong = {
+    "track": lambda: tracker.track(5, camera),
+    "camera": lambda: tracker.measure(table, 5),
+    "key": lambda: tracker.measure(table, {**camera, "fps": "fast"}),
+    "missing": lambda: tracker.measure(table, "none.json"),
+    "columns": lambda: tracker.measure(table.rename(columns={"x": "place"}), camera),
+    "unit": lambda: tracker.measure(table, camera, unit=3),
+    "find": lambda: discrepancy.find(5, "painter_behringer", camera=camera),
+    "model": lambda: discrepancy.find(table, 5, camera=camera),
+    "no camera": lambda: discrepancy.find(table, "painter_behringer"),
+    "scene": lambda: synthcam.Scene.build(timing=3),
+    "value": lambda: synthcam.Scene.build(launch={"v0": "fast"}),
+    "dataset": lambda: synthcam.open_dataset(3),
+    "number": lambda: synthcam.Scene.read("painter_behringer").draw("one"),
+}
+ends = {}
+for name, call in wrong.items():
+    try:
+        call()
+    except Exception as error:
+        fine = type(error).__name__ == "InputError" and "--" not in str(error) and len(str(error).splitlines()) == 1
+        ends[name] = "fine" if fine else f"{type(error).__name__}: {error}"
+    else:
+        ends[name] = "accepted"
+print(json.dumps({"not fine": {name: end for name, end in ends.items() if end != "fine"}, "calls": len(ends)}))
+""",
+        Printed({"not fine": {}, "calls": 13}),
+    ),
+    "a scene built in Python, filmed, tracked and measured": (
+        """
+camera = {"size": [200, 160], "scale": 3e-4}
+timing = {"frames": 50, "contact_frame": 15}
+scene = synthcam.Scene.build(model={"restitution": 0.8}, launch={"v0": 0.4, "b": 0.1}, camera=camera, timing=timing)
+clip = scene.draw(seed=1)
+row = tracker.track(clip.film(), clip.camera_json).estimates.iloc[0]
+print(json.dumps({"status": row["status"], "true": clip.truth["r"], "errors": abs(row["r"] - 0.8) / row["r_std"]}))
+""",
+        Printed({"status": "ok", "true": 0.8, "errors": 0.0}, near=ERRORS),
+    ),
+    "a dataset opened: frames one at a time, truth, camera": (
+        """
+opened = synthcam.open_dataset("films")
+first = opened[0]
+film = first.film()
+row = tracker.track(film, first.camera_json).estimates.iloc[0]
+errors = abs(row["r"] - first.truth["r"]) / row["r_std"]
+lengths = {"clips": len(opened), "frames": len(film), "rows": len(first.tracks)}
+print(json.dumps({**lengths, "frame": list(film[3].shape), "errors": errors}))
+""",
+        Printed({"clips": 2, "frame": [160, 200], "frames": 60, "rows": 120, "errors": 0.0}, near=ERRORS),
     ),
     "errors that name arguments, not options": (
         """
@@ -189,9 +287,10 @@ for k in range(6):
 camera = {name: scene.draw(0).camera_json[name] for name in ("fps", "size", "scale", "ball_diameter")}
 table = pd.concat(parts).dropna()
 found = discrepancy.find(table, "painter_behringer", camera=camera, minutes=0.0)
-print(json.dumps({"verdict": found.verdict, "clips": found.document()["clips"]["fitted"]}))
+clips = found.document()["clips"]
+print(json.dumps({"verdict": found.verdict, "clips": sum(clips[name] for name in ("fitted", "kept_out"))}))
 """,
-        Printed({"verdict": "none"}),
+        Printed({"verdict": "none", "clips": 6}),
     ),
     "a detector that is a function": (
         """
@@ -214,6 +313,7 @@ def prepare_python(folder: Path) -> None:
     (folder / "camera.json").rename(folder / "film.json")
     (folder / "table.json").rename(folder / "camera.json")
     make_dataset(folder / "dataset")
+    make_dataset(folder / "films", 1, clips=2, filmed=True)
 
 
 def list_cases() -> list[Case]:
@@ -233,8 +333,12 @@ def list_cases() -> list[Case]:
         ),
         "--detector spot.py, ten lines": (track_with("spot.py"), near),
         "--detector spot:spot": (track_with("spot:spot"), near),
+        "--detector spots:Spots, a class": (track_with("spots:Spots"), near),
         "positions in millimetres": (
             table(lambda path: write_table(path, (1,), scale=0.16)), Refused(("positions look like mm", "--unit mm")),
+        ),
+        "positions in metres": (
+            table(lambda path: write_table(path, (1,), scale=1.6e-4)), Refused(("not metres", "--unit m")),
         ),
         "v0: 30": (generate_too_fast, Said(("lower launch.v0",))),
         "a film with camera.json beside it": (write_beside, Said(("camera: camera.json; --camera takes another",))),
@@ -258,7 +362,7 @@ def list_cases() -> list[Case]:
              Said(("--point glint",)), run=measure_first),
         Case("users", "the truth of another dataset", score_positions(("x_mean_px", "y_mean_px"), 5),
              Refused(("the dataset that was tracked",)), run=measure_first),
-        Case("users", "--clips 6 extends a dataset of 4", lambda folder: [
+        Case("users", "--clips 60 extends a dataset of 40", lambda folder: [
             "synthcam", "generate", "painter_behringer", "-o", "new", "--no-video"],
-            Printed({"clips": 6, "kept": True}), run=extend_dataset),
+            Printed({"clips": 60, "kept": True}), run=extend_dataset),
     ]  # fmt: skip

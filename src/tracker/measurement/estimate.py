@@ -437,12 +437,28 @@ def _value_columns(read: CollisionFits, camera: Camera) -> dict[str, Any]:
         row[f"{column}_std"] = float(np.sqrt(read.tied.cov[TIED.index(name), TIED.index(name)])) if known else np.nan
     ends = [track.start[-1] + track.exposure for _, track in read.tied.pair.balls]
     row["time_left_s"] = float(min(ends) - read.tied.parameters[0])
+    row["extrapolated"] = "|".join(_list_extrapolated(read, row["time_left_s"]))
     if read.lasting is not None:
         row |= {"contact_duration_s": read.lasting.duration, "contact_duration_s_std": read.lasting.duration_std}
         row |= {"contact_first": read.lasting.first, "contact_last": read.lasting.last}
     for suffix, fit in (("", read.tied), ("_free", read.free)):
         row |= {f"chi2{suffix}": fit.chi2, f"dof{suffix}": fit.dof, f"dropped{suffix}": fit.dropped}
     return row
+
+
+def _list_extrapolated(read: CollisionFits, time_left: float) -> list[str]:
+    """List the quantities of the tied fit that describe a time after the balls were last seen.
+
+    A slide that may end then counts, also where its own time is too uncertain to be given. Without friction both balls
+    would slide for ever, but the fit gives the energy that rolling ones would keep.
+    """
+    values = read.tied_values
+    end = values.value + np.nan_to_num(values.std)
+    late = [f"{ball}" for ball in (1, 2) if end[QUANTITY_NAMES.index(f"tau{ball}")] > time_left]
+    names = {f"{kind}{ball}{f}" for ball in late for kind, f in (("tau", ""), ("v", "f"))}
+    if late:
+        names |= {"energy_fraction", "momentum_fraction", "final_angle"}
+    return [name for name in QUANTITY_NAMES if name in names]
 
 
 def _earlier_hits(read: CollisionFits, earlier: dict[int, EarlierHit]) -> dict[int, EarlierHit]:
@@ -560,7 +576,7 @@ def make_empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any
     row |= dict.fromkeys((*BEFORE, *(f"{name}_std" for name in BEFORE[: len(SPIN)])), np.nan)
     row |= {"noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
     row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan}
-    row |= {"model_rejected": False, "flags": ""}
+    row |= {"model_rejected": False, "flags": "", "extrapolated": ""}
     row |= dict.fromkeys(("time_left_s", "contact_duration_s", "contact_duration_s_std"), np.nan)
     row |= {"contact_first": -1, "contact_last": -1}
     row |= {"chi2": np.nan, "dof": 0, "dropped": 0}

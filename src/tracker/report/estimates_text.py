@@ -246,13 +246,9 @@ def explain_dashes(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES
 
 def is_extrapolated(row: Mapping[str, Any], name: str, suffix: str) -> bool:
     """Decide, for the text of a tied fit's value, whether it is of a time after the balls were last seen."""
-    needs = {"tau1": "tau1", "v1f": "tau1", "tau2": "tau2", "v2f": "tau2"}
-    if suffix or row["status"] not in MEASURED:
+    if suffix or row["status"] not in MEASURED or not _is_known(row, name):
         return False
-    slides = [needs[name]] if name in needs else ["tau1", "tau2"]
-    late = name in (*needs, "energy_fraction", "momentum_fraction", "final_angle")
-    end = row.get("time_left_s")
-    return late and end is not None and any(_is_known(row, slide) and row[slide] > end for slide in slides)
+    return name in str(row.get("extrapolated", "")).split("|")
 
 
 def _is_known(row: Mapping[str, Any], column: str) -> bool:
@@ -309,7 +305,7 @@ def _format_row(row: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
         values = "".join(f" {text:>{18 if is_measured else 15}}" for text in texts)
         yield f"  {line.quantity.plain_symbol:<8}{values}  {line.quantity.unit:<6}{line.quantity.meaning}".rstrip()
     if "" in methods and any(is_extrapolated(row, line.name, "") for line in lines):
-        yield "  * extrapolated: a ball slides for longer than it is seen."
+        yield "  * extrapolated: a ball slides for longer than it is seen, or may do so."
     if lines and any(value == NOT_KNOWN for line in lines for value in line.values[: len(methods)]):
         for reason in explain_dashes(row, names):
             yield f"  {NOT_KNOWN} {reason}."

@@ -172,7 +172,8 @@ class RecordingPage:
         late = [n for n in QUANTITIES if f"{n}_std" in row and text.is_extrapolated(row, n, "")]
         if late and "" in methods:
             reasons.append(
-                f"Extrapolated in the tied fit, because a ball slides for longer than it is seen: {', '.join(late)}."
+                "Extrapolated in the tied fit, because a ball slides for longer than it is seen, or may do so: "
+                f"{', '.join(late)}."
             )
         table = PageTable(["symbol", "quantity", "unit", *methods.values(), "column"], rows, title)
         return [table, *([" ".join(reasons)] if reasons else [])]

@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
+from tracker_contacts import SoftHit
 from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, scalars_of, truth_of, without
 
+import tracker
 from tracker.measurement.collision.collision_model import FREE, mean_positions, tied_to_free
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all_jointly, make_motion_table, measure
@@ -344,3 +346,17 @@ def test_a_shaded_ball_that_looks_smaller_than_its_diameter_is_measured(plain):
     tracks = replace(tracks, cov=shift + own, fixed=shift, flags=np.full(len(tracks), "shaded"))
     for ball in to_ball_tracks(tracks, camera):
         assert np.isfinite(ball.whiten(ball.position)).all()
+
+
+@pytest.mark.parametrize(("friction", "after", "seen"), [(0.2, 120, True), (0.2, 15, False), (0.0, 5, False)])
+def test_values_of_a_time_that_is_not_seen_are_named(friction, after, seen):
+    """The balls slide for 39 ms, or for ever, and are seen for 240, 30 or 10 ms after the hit."""
+    hit = SoftHit(0.0, r=0.8, b=0.3, friction=friction, after=after)
+    tracks = hit.tracks(np.random.default_rng(1))
+    (row,) = tracker.measure(tracks, hit.camera, unit="m").rows
+    late = {"tau1", "tau2", "v1f", "v2f", "energy_fraction", "momentum_fraction", "final_angle"}
+    assert row["status"] == "ok"
+    assert set(row["extrapolated"].split("|")) == ({""} if seen else late)
+    if friction == 0:  # with a value that only holds for balls that come to roll
+        kept = hit.b**2 + (1 - hit.b**2) * (1 + hit.r**2) / 2
+        assert row["energy_fraction"] < kept - 5 * row["energy_fraction_std"]

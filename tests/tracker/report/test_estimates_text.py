@@ -69,6 +69,15 @@ def test_one_collision_is_printed_whole_and_many_as_medians():
     assert list(format_for_terminal(pd.DataFrame([row("no_collision")] * 9))) == []
 
 
+def test_what_is_extrapolated_is_marked_where_it_has_a_value():
+    late = row(extrapolated="tau1|energy_fraction", tau1=math.nan)
+    lines = {line.split()[0]: line for line in format_for_terminal(pd.DataFrame([late])) if line.strip()}
+    assert lines["E/E0"].count("*") == 1
+    assert "*" not in lines["τ1"] + lines["p/p0"]
+    assert "a ball slides for longer than it is seen" in lines["*"]
+    assert "*" not in "".join(format_for_terminal(pd.DataFrame([row(), row(extrapolated="")])))
+
+
 def test_a_restitution_that_the_law_of_the_force_leaves_open_has_a_reason():
     open_law = row(flags="contact lasts", r=np.nan, r_std=np.nan)
     assert "depends on the law of the force" in " ".join(explain_dashes(open_law))

@@ -144,7 +144,7 @@ def _read_layout(path: Path, tif: tifffile.TiffFile, options: FilmOptions) -> _L
             f"{path}: truncated or damaged, a page has the axes {axes or None}, expected those of a picture"
         )
     samples, sample, notes = plane[axes.index("S")] if "S" in axes else 1, None, list[str]()
-    if samples > 4 or "S" in wanted:
+    if samples > 4 or "S" in wanted or (samples > 1 and _has_unnamed_samples(page)):
         sample = choose_axis_entry(path, "S", samples, wanted, notes)
     lengths = dict(zip(letters, outer, strict=True))
     time, chosen = choose_axis_entries(path, lengths, wanted, notes)
@@ -153,6 +153,12 @@ def _read_layout(path: Path, tif: tifffile.TiffFile, options: FilmOptions) -> _L
     pages = np.ravel_multi_index(index, outer) if outer else np.zeros(1)
     pages, start = np.asarray(pages, dtype=np.int64), None if offset is None else int(offset)
     return _Layout(plane, axes, pages, math.prod(outer), dtype, start, tuple(notes), sample)
+
+
+def _has_unnamed_samples(page: Any) -> bool:
+    """Whether the pixels of a grey picture have further samples that are no transparency."""
+    grey, transparency = (0, 1), (1, 2)  # of the tags PhotometricInterpretation and ExtraSamples
+    return int(page.photometric) in grey and not (page.extrasamples and set(page.extrasamples) <= set(transparency))
 
 
 def _check_file(path: Path, tif: tifffile.TiffFile, layout: _Layout) -> tuple[str, ...]:

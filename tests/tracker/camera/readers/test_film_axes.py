@@ -141,6 +141,16 @@ def test_more_samples_than_colours_are_selected(tmp_path):
     assert "sample of a pixel 4 of 6" in notes
 
 
+@pytest.mark.parametrize(("extra", "named"), [("unspecified", True), ("unassalpha", False)])
+def test_samples_that_are_no_transparency_are_named_and_selected(tmp_path, extra, named):
+    path, pixels = tmp_path / "film.tif", np.stack([MOVIE, 255 - MOVIE], axis=-1)
+    tifffile.imwrite(path, pixels, photometric="minisblack", planarconfig="contig", extrasamples=(extra,))
+    film, notes = held(path)
+    assert np.array_equal(film, MOVIE)
+    assert ("sample of a pixel 0 of 2" in notes) is named
+    assert np.array_equal(held(path, "S=1")[0], 255 - MOVIE)
+
+
 def test_hidden_files_are_skipped(tmp_path):
     for k, picture in enumerate(MOVIE):
         cv2.imwrite(str(tmp_path / f"{k}.png"), picture)
