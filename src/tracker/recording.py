@@ -458,7 +458,7 @@ def track_and_measure(
         *clip.notes,
         *make_notes(NoteKind.DETECTOR, [selected.why if selected else ""], clip.number),
         *tracked.notes,
-        *make_notes(NoteKind.LINKING, tracked.loose_ends.warn(tracked.hint), clip.number),
+        *make_notes(NoteKind.LINKING, _warn_of_loose_ends(clip, tracked), clip.number),
         *edited.notes,
         *describe_camera_gaps(tracked.camera),
         *describe_exposure(tracked.camera, f"{results.EXPOSURE_SEEN_KEY} in {results.RUN}"),
@@ -475,6 +475,10 @@ def track_and_measure(
         detector=used,
         detected=tracked.detected,
     )
+
+
+def _warn_of_loose_ends(clip: Recording, tracked: TrackedClip) -> tuple[str, ...]:
+    return tracked.loose_ends.warn(tracked.hint, lossy=getattr(clip.frames, "lossy", False))
 
 
 def _track_by_choice(

@@ -13,6 +13,7 @@ import tifffile
 
 from benchmarks.harness import ROOT
 from benchmarks.tracker.ordinary.case import Case, Judge, Outcome, Program, Words, run_to_the_end
+from benchmarks.tracker.ordinary.contacts import NotOk
 from benchmarks.tracker.ordinary.films import write_tiff
 from benchmarks.tracker.ordinary.judges import ERRORS, Either, Found, Measured, Printed, Refused, Said
 from benchmarks.tracker.ordinary.sources import film_glints, know_table, list_rows, measure, track, write_camera
@@ -344,6 +345,10 @@ def list_cases() -> list[Case]:
         "a film with camera.json beside it": (write_beside, Said(("camera: camera.json; --camera takes another",))),
         "H.264 copy of a film of glints": (
             track(write_copy("film.mp4", "libx264", "yuv420p", crf="23")), lossy,
+        ),
+        "H.264 copy of a film of glints, which hardly shows them": (
+            track(write_copy("film.mp4", "libx264", "yuv420p", crf="35")),
+            Either(Measured(tied), NotOk(("the compression of the video may be the cause",))),
         ),
         "MJPEG copy of a film of glints": (
             track(write_copy("film.avi", "mjpeg", "yuvj420p", qmin="3", qmax="3")), lossy,

@@ -244,8 +244,11 @@ class LooseEnds:
             f"{self.count} of the {self.ends} ends of tracks lie inside the picture, where no ball comes in or leaves"
         )
 
-    def warn(self, hint: str = "") -> tuple[str, ...]:
-        """Explain, as a warning that ends with the hint, that most tracks have such ends, or are pieces of a ball."""
+    def warn(self, hint: str = "", *, lossy: bool = False) -> tuple[str, ...]:
+        """Explain, as a warning that ends with the hint, that most tracks have such ends, or are pieces of a ball.
+
+        lossy: the video was encoded with loss, which blurs small glints and leaves specks in their place.
+        """
         begin = "tracks begin" if self.resumed > 1 else "track begins"
         pieces = f"{self.resumed} {begin} where another ended shortly before: they may be pieces of one ball that was"
         joins = "`link: {max_gap_frames: 20}` in a file behind --settings joins longer gaps"
@@ -254,6 +257,8 @@ class LooseEnds:
         text = "the tracks may be reflections or specks, or more objects than the tracker can distinguish"
         if 4 * self.resumed >= self.count:  # half of the loose ends
             text = f"{pieces} hidden; {joins}"
+        if lossy:
+            text += "; the compression of the video may be the cause: film without it, or with less"
         return (f"{self.describe()}: {text}{hint}",)
 
 

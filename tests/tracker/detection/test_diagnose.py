@@ -73,6 +73,13 @@ def test_a_film_of_specks_names_the_detector_of_bodies():
     assert "--detector" not in count_loose_ends(tracks(*GLITTER), SIZE, [(0, LAST)]).warn()[0]
 
 
+def test_specks_in_a_lossy_video_may_be_what_its_codec_left():
+    ends = count_loose_ends(tracks(*GLITTER), SIZE, [(0, LAST)])
+    assert "compression" in ends.warn(lossy=True)[0]
+    assert "compression" not in ends.warn()[0]
+    assert count_loose_ends(tracks(BALLS[0]), SIZE, [(0, LAST)]).warn(lossy=True) == ()
+
+
 @pytest.mark.parametrize(("amplitude", "said"), [(2, "nothing moves: nothing differs"), (30, "the light changes")])
 def test_blocks_of_a_codec_are_no_change_of_the_light(amplitude, said):
     """A film of a table at rest: blocks of 8 x 8 px flicker by two counts."""
