@@ -337,9 +337,9 @@ class ProblemStack:
         return np.concatenate(residuals, axis=1), np.concatenate(freedoms, axis=1), (known**2).sum(axis=1)
 
     def _whiten_stretches(self, x: Array, which: Ints) -> list[Array]:
-        """Whitened residuals of each stretch, and their derivatives by its own parameters and by the instant.
+        """Whitened residuals of each stretch, and their derivatives by its own parameters, the instant, and the fall.
 
-        Returns (m, 1 + size + 1, 2n) for each, in that order.
+        Returns (m, 1 + size + 1, 2n) for each, in that order, or one row more of a body that rolls.
         """
         out, hits = dict[int, Array](), self.hit[which]
         for group, time, reach in zip(self.groups, self.times, self.reaches, strict=True):
@@ -357,7 +357,7 @@ class ProblemStack:
     def _evaluate_paths(
         self, x: Array, which: Ints, group: Sequence[int], time: Array, reach: Array | None
     ) -> tuple[Array, Array]:
-        """Paths (m, g, n, 2) of stretches of one motion at times (m, g, n), s, and derivatives (m, g, size + 1, n, 2).
+        """Paths (m, g, n, 2) of stretches of one motion at times (m, g, n), s, and derivatives as of `evaluate_path`.
 
         reach (m, g, n): means over so much time to either side, s. All at once, because most of the time is that of
         numpy's calls.
@@ -365,7 +365,7 @@ class ProblemStack:
         one, span = self.one, self.spans[which][:, group]
         own = np.stack([one.values(x, k, span[:, number]) for number, k in enumerate(group)], axis=1)
         since, after = time - x[:, :1, None], one.stretches[group[0]].after
-        path, slope = evaluate_path(one.motions[group[0]], own, since, after, reach)
+        path, slope = evaluate_path(one.motions[group[0]], own, since, after, reach, x[:, 7, None, None])
         if one.slides_first(group[0]):
             lasts = np.exp(own[..., 6])
             tau, by_v = np.minimum(lasts, span)[..., None, None, None], slope[:, :, 2:4].copy()
@@ -496,6 +496,9 @@ def _list_parameters(problem: LocalProblem, k: int) -> tuple[Ints, Ints]:
     """
     size = problem.motions[k].size
     start, place = problem.start[k], problem.place(k)
-    rows = [0, *range(1, size + 1), size + 1, 1, 2, *([5] if problem.rubs(k) else [])]
-    columns = [*range(start, start + size), 0, place.start, place.start + 1, *([5] if problem.rubs(k) else [])]
+    rows, columns = [0, *range(1, size + 2), 1, 2], [*range(start, start + size), 0, place.start, place.start + 1]
+    if problem.rubs(k):
+        rows, columns = [*rows, 5], [*columns, 5]
+    if problem.motions[k].rolls:
+        rows, columns = [*rows, size + 2], [*columns, 7]
     return np.array(rows), np.array(columns)

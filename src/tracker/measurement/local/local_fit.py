@@ -29,6 +29,7 @@ from tracker.measurement.local.stretches import (
     MotionKind,
     Overrun,
     Stretch,
+    average_cube_of_roll,
     average_curve,
 )
 
@@ -51,8 +52,11 @@ class StretchFit:
 
 
 @lru_cache(maxsize=64)  # the window of a stretch is chosen by fits that the fit of all stretches starts from
-def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind) -> StretchFit:
-    """Fit one stretch of a local fit alone, over a few durations of the slide, and again about the best of them."""
+def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind, fall: float) -> StretchFit:
+    """Fit one stretch of a local fit alone, over a few durations of the slide, and again about the best of them.
+
+    fall: how fast the loss of a roll is likely to fall with time, over the loss, 1/s.
+    """
     span = float(np.abs(stretch.time - contact).max())
     shortest, longest, turns = span / 40, 1.5 * span, 4 if motion.ends else 1
     if motion.stops:  # at least one position shows the slide; a fast body stops long after, at a time that shows well
@@ -62,10 +66,10 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind) -> 
     for turn in range(turns):
         if turn:
             taus = np.geomspace(taus[max(best - 1, 0)], taus[min(best + 1, len(taus) - 1)], 7)
-        costs, fits, left = _fit_each(stretch, contact, motion, taus)
+        costs, fits, left = _fit_each(stretch, contact, motion, taus, fall)
         # the first of the least costs: slides that outlast a stretch all cost the same, but for rounding
         best = int(np.argmax(costs <= costs.min() * (1 + 1e-9)))
-    out, plain = np.zeros(motion.size), fits.shape[1] - motion.rolls
+    out, plain = np.zeros(motion.size), fits.shape[1] - 2 * motion.rolls
     out[: 2 * plain] = fits[best, :plain].ravel()
     if motion.stops:
         out[4:6] = -out[2:4] / taus[best]
@@ -79,7 +83,9 @@ def fit_single_stretch(stretch: Stretch, contact: float, motion: MotionKind) -> 
     return StretchFit(out, chi2, max(2 * int(counted.sum()) - motion.size, 1))
 
 
-def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Array) -> tuple[Array, Array, Array]:
+def _fit_each(
+    stretch: Stretch, contact: float, motion: MotionKind, taus: Array, fall: float
+) -> tuple[Array, Array, Array]:
     """Fit a stretch with each duration (m,) of its slide: costs (m,), values (m, k, 2) and residuals (m, n, 2), m.
 
     The duration of a dry slide ends with its stop.
@@ -102,7 +108,8 @@ def _fit_each(stretch: Stretch, contact: float, motion: MotionKind, taus: Array)
         widths.append(2.0)  # m/s^2
     if motion.rolls:
         columns.append(whole - curve if motion.pushed else whole + 0 * far)
-        widths.append(0.1)  # m/s^2
+        columns.append(average_cube_of_roll(motion, stretch.after, ahead, taus[:, None], stretch.reach) + 0 * far)
+        widths += [0.1, 0.1 * fall]  # m/s^2, m/s^3
     basis = np.stack(columns, -1) * weight[:, None]
     square = np.swapaxes(basis, 1, 2) @ basis
     for k, width in enumerate(widths):
@@ -119,10 +126,12 @@ def choose_window(
     stretch: Stretch,
     contact: float,
     motions: Sequence[MotionKind],
+    fall: float,
     max_residual: float = MAX_RESIDUAL_CLAIMED,
 ) -> Stretch:
     """Shorten a stretch to the longest window that the local fit describes within `max_residual` errors, rms.
 
+    fall: how fast the loss of a roll is likely to fall with time, over the loss, 1/s.
     Any force that the motions lack raises the residuals of a window that shows it. The rule does not look at the error
     of the velocity, because the smallest of several uncertain errors is too small. If no window is so good, the
     errors are larger than claimed, as in encoded films. The best of the windows then shows how large they are.
@@ -140,7 +149,7 @@ def choose_window(
         misfits = list[float]()
         for motion in motions:
             if 2 * len(window) > motion.size:
-                fit = fit_single_stretch(window, contact, motion)
+                fit = fit_single_stretch(window, contact, motion, fall)
                 misfits.append(fit.chi2 / fit.dof)
                 if misfits[-1] <= limit:
                     return window
@@ -218,10 +227,10 @@ def fit_motions(
         for motions in list_motions(stretches, rests, support, before):
             problem = LocalProblem(tuple(stretches), motions, priors, support != "cloth")
             x = np.zeros(problem.size)
-            x[0], x[5], x[6] = contact, np.log(priors.friction), priors.loss
+            x[0], x[5], x[6], x[7] = contact, np.log(priors.friction), priors.loss, priors.fall
             places: dict[int, list[Array]] = {1: [], 2: []}
             for k, (s, motion) in enumerate(zip(stretches, motions, strict=True)):
-                own = fit_single_stretch(s, contact, motion).values.copy()
+                own = fit_single_stretch(s, contact, motion, priors.fall).values.copy()
                 if problem.slides_first(k):
                     own[2:4] += own[4:6] * min(float(np.exp(own[6])), problem.spans[k])
                 if problem.rubs(k):
@@ -231,7 +240,7 @@ def fit_motions(
                     lasts = priors.slips.find_duration(s.ball, priors.friction)
                     own[5], own[6] = np.arctan2(*-priors.slips.slips[s.ball - 1, ::-1]), np.log(lasts)
                 if end is not None:
-                    own[:4] = fit_single_stretch(s, contact, ROLL).values[:4]
+                    own[:4] = fit_single_stretch(s, contact, ROLL, priors.fall).values[:4]
                     own[5], own[6] = end.towards, np.log(max(end.rolls, 0.1 * problem.spans[k]))
                 x[problem.start[k] : problem.start[k + 1]] = own
                 places[s.ball].append(own[:2])
@@ -514,7 +523,8 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
 
     def fits(lasts: Array) -> Flags:
         motion, size = solution.problem.motions[k], solution.sizes[k]
-        costs = _fit_each(stretch, float(solution.x[0]), motion, np.append(lasts, least))[0] / size**2
+        contact, tried = float(solution.x[0]), np.append(lasts, least)
+        costs = _fit_each(stretch, contact, motion, tried, priors.fall)[0] / size**2
         return np.asarray(costs[: len(lasts)] < costs.min() + MAX_COST)
 
     least = np.linspace(first, 1.5 * last, 5 * durations)

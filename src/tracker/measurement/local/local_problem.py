@@ -4,7 +4,7 @@ The parameters are the instant of the contact, the place of each body there, and
 Weak knowledge keeps short stretches regular, as rows of the least squares:
 
 - the bodies touch at about one diameter, and each is in about one place before and after the contact;
-- the plate's friction, and its rolling loss, are about the same in all stretches;
+- the plate's friction, and its rolling loss, are about the same in all stretches, and the loss falls with the speed;
 - dry friction is opposite to the velocity, and about the same in all stretches.
 """
 
@@ -87,6 +87,8 @@ class LocalPriors:
     roll_s: float = 0.1  # how long a ball has rolled before the contact, after a slide
     roll_factor: float = 3.0  # error of its logarithm
     loss: float = 0.05  # of rolling, m/s^2; its error is as large
+    fall: float = 0.1  # of the loss with time, over the loss, 1/s
+    fall_error: float = 0.1  # 1/s
     loss_scatter: float = 0.03  # from stretch to stretch, m/s^2: balls of steel lose more the faster they roll
     push: float = 1.0  # acceleration of bodies that glide, m/s^2
     # Scatter of dry friction along and across the path, over the common one. Even pressure gives a disc whose rim turns
@@ -109,7 +111,7 @@ class LocalProblem:
     start: tuple[int, ...] = field(init=False)  # of each stretch in the vector of parameters
     spans: tuple[float, ...] = field(init=False)  # duration of each stretch, s
 
-    COMMON = 7  # t_c; x, y of ball 1; x, y of ball 2; log of the friction; loss
+    COMMON = 8  # t_c; x, y of ball 1; x, y of ball 2; log of the friction; loss; its fall
 
     def __post_init__(self) -> None:
         ends = np.cumsum([self.COMMON, *(motion.size for motion in self.motions)])
@@ -242,6 +244,7 @@ class LocalProblem:
         rows += [(0.0, 1.0, {})] * (2 * len(self.slips))
         rows += [(0.0, scatter * p.friction * GRAVITY, {}) for _ in self.dry for scatter in p.dry_scatter]
         rows += [(np.log(p.friction), p.friction_factor, {5: 1.0}), (p.loss, p.loss, {6: 1.0})]
+        rows.append((p.fall, p.fall_error, {7: 1.0}))
         for k, motion in enumerate(self.motions):
             at, last = self.start[k], self.start[k + 1] - 1
             rows += [(0.0, p.shift_share * p.diameter, {at + axis: 1.0}) for axis in (0, 1)]

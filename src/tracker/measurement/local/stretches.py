@@ -277,33 +277,64 @@ class Overrun(NamedTuple):
         share = part / (2 * reach)
         return Overrun(share, whole + part * share / 2, whole * (past + reach) / 2 + part**2 * share / 6)
 
+    @staticmethod
+    def average_cube(past: Array, reach: Array | None) -> Array:
+        """Average a sixth of the cube of such times, s^3."""
+        if reach is None:
+            return np.maximum(past, 0.0) ** 3 / 6
+        reach = np.maximum(reach, 1e-12)
+        last, first = np.maximum(past + reach, 0.0), np.maximum(past - reach, 0.0)
+        return np.asarray((last - first) * (last + first) * (last**2 + first**2) / (48 * reach))
+
 
 def average_curve(since: Array, reach: Array | None) -> Array:
     """Average half the square of times evenly over `reach` to either side."""
     return np.asarray(since**2 / 2 if reach is None else (since**2 + reach**2 / 3) / 2)
 
 
+def average_cube_of_roll(motion: MotionKind, after: bool, ahead: Array, tau: Array, reach: Array | None) -> Array:
+    """Average a sixth of the cube of the time for which a body rolls, evenly over `reach` to either side.
+
+    ahead: time to the contact, s, positive. tau: duration of the slide after the contact or of the roll before it, s.
+    The body moves on at its last speed before or after the roll.
+    """
+    if motion.ends and after:
+        return Overrun.average_cube(ahead - tau, reach)
+    whole = np.asarray(ahead * (ahead**2 if reach is None else ahead**2 + reach**2) / 6)
+    if not motion.ends:
+        return whole
+    return whole - Overrun.average_cube(ahead - tau, reach) - tau * Overrun.of(ahead - tau, reach).late_curve
+
+
 def evaluate_path(
-    motion: MotionKind, values: Array, since: Array, after: bool, reach: Array | None = None
+    motion: MotionKind,
+    values: Array,
+    since: Array,
+    after: bool,
+    reach: Array | None = None,
+    fall: Array | float = 0.0,
 ) -> tuple[Array, Array]:
     """Evaluate the paths of a stretch at times (..., n) since the contact, for values (..., size) of its parameters.
 
     reach (..., n): means over so much time to either side, as of a `Stretch`.
-    Returns positions (..., n, 2) and derivatives (..., size + 1, n, 2); the last is that by the instant of the contact.
+    fall (..., 1): how fast the loss of a roll falls with time, over the loss, 1/s. The loss is that at the contact, or
+    at the end of the slide after it. To first order, dv/dt = -(D + C v) has this motion with a fall of C.
+    Returns positions (..., n, 2) and derivatives (..., size + 1 + motion.rolls, n, 2). After those by the parameters
+    come that by the instant of the contact and, of a body that rolls, that by the fall.
     """
     values = values[..., None]  # to be multiplied by times
     path = np.empty((*np.broadcast_shapes(values.shape[:-2], since.shape[:-1]), since.shape[-1], 2))
     path[..., 0], path[..., 1] = values[..., 0, :], values[..., 1, :]
-    slope = np.zeros((*values.shape[:-2], motion.size + 1, since.shape[-1], 2))
+    slope = np.zeros((*values.shape[:-2], motion.size + 1 + motion.rolls, since.shape[-1], 2))
     slope[..., 0, :, 0] = slope[..., 1, :, 1] = 1.0
     if not motion.moves:
         return path, slope
     if motion.stops and after:
         return _evaluate_stop(values, since, reach, path, slope)
-    v, at, sign = values[..., None, 2:4, 0], 4, 1.0 if after else -1.0
+    v, at, k_instant, sign = values[..., None, 2:4, 0], 4, motion.size, 1.0 if after else -1.0
     a = np.zeros(2)
     slope[..., 2, :, 0] = slope[..., 3, :, 1] = since
-    slope[..., -1, :, :] = -v
+    slope[..., k_instant, :, :] = -v
     path += since[..., None] * v
     ahead = np.abs(since)
     late, curve = 0 * ahead, average_curve(ahead, reach)
@@ -320,25 +351,33 @@ def evaluate_path(
         path += curve[..., None] * a
         slope[..., 4, :, 0] = slope[..., 5, :, 1] = curve
         rate = ahead - late if after or not motion.ends else late
-        slope[..., -1, :, :] -= (sign * rate)[..., None] * a
+        slope[..., k_instant, :, :] -= (sign * rate)[..., None] * a
     if motion.rolls:
         carries = motion.ends and after  # the push, which turns the direction in which the body rolls
         along = v + a * tau[..., None] if carries else v
         speed_along = np.maximum(np.hypot(along[..., :1], along[..., 1:]), 1e-12)
         along = along / speed_along
         loss = values[..., at, :]
+        kept = late if carries else ahead - late  # time of the roll
+        cube, kept_curve, late_of_loss = average_cube_of_roll(motion, after, ahead, tau, reach), free, late
+        if carries:
+            late_of_loss = late - fall * free
+        elif motion.ends:
+            kept_curve, late_of_loss = free - tau * late, late * (1 + fall * tau)
+        free, kept = free - sign * fall * cube, kept - sign * fall * kept_curve
         slope[..., at, :, :] = -free[..., None] * along
         path += loss[..., None] * slope[..., at, :, :]
+        slope[..., k_instant + 1, :, :] = (sign * loss * cube)[..., None] * along
         turn = (np.eye(2) - along[..., 0, :, None] * along) / speed_along
         turns = (loss * free)[..., None, :, None] * turn[..., :, None, :]
         slope[..., 2:4, :, :] -= turns
         if carries:
             slope[..., 4:6, :, :] -= tau[..., None, None] * turns
             slope[..., k_tau, :, :] -= (loss * tau * free)[..., None] * (a @ turn)
-        kept = late if motion.ends and after else ahead - late
-        slope[..., -1, :, :] += (sign * loss * kept)[..., None] * along
+        slope[..., k_instant, :, :] += (sign * loss * kept)[..., None] * along
         if motion.ends:
-            slope[..., k_tau, :, :] += (sign * tau * late)[..., None] * (a + loss[..., None] * along)
+            late_push, late_loss = (sign * tau * late)[..., None], (sign * tau * loss * late_of_loss)[..., None]
+            slope[..., k_tau, :, :] += late_push * a + late_loss * along
     return path, slope
 
 

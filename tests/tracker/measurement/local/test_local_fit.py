@@ -34,6 +34,7 @@ from tracker.measurement.local.stretches import (
 )
 
 NOISE = 1e-6
+FALL = 0.1  # 1/s, of the rolling loss
 
 
 def make_stretch(path, time, seed=1, lasting=0.0, ball=1, after=True, size=1.0):
@@ -50,7 +51,7 @@ def make_stretch(path, time, seed=1, lasting=0.0, ball=1, after=True, size=1.0):
 def test_a_slide_that_outlasts_the_stretch_is_no_short_slide_with_a_large_loss(seed):
     time = np.arange(1, 23) * 4e-3
     stretch = make_stretch(np.outer(time, [0.4, 0.4]) - np.outer(time**2 / 2, [1.1, 1.1]), time, seed)
-    found = fit_single_stretch(stretch, 0.0, SLIDE_AND_ROLL)
+    found = fit_single_stretch(stretch, 0.0, SLIDE_AND_ROLL, FALL)
     assert np.exp(found.values[6]) > 0.7 * np.ptp(time)
     assert found.values[2:4] == pytest.approx([0.4, 0.4], abs=1e-3)
     assert found.chi2 < 2 * found.dof
@@ -65,14 +66,14 @@ def test_a_window_ends_before_a_force_that_the_motions_lack(force_from, force, l
     time = np.arange(1, 51) * 4e-3
     path = np.outer(time, [0.4, 0.1]) + np.outer(np.maximum(time - force_from, 0) ** 2, [0.0, force])
     motions = (SLIDE,) if lasting else (SLIDE, ROLL, SLIDE_AND_ROLL)
-    window = choose_window(make_stretch(path, time, lasting=lasting), 0.0, motions)
+    window = choose_window(make_stretch(path, time, lasting=lasting), 0.0, motions, FALL)
     assert longest * 0.2 <= window.time[-1] <= max(longest * 0.2, min(force_from, 0.2)) + 8e-3
 
 
 def test_errors_larger_than_claimed_shorten_no_window():
     time = np.arange(1, 51) * 4e-3
     stretch = make_stretch(np.outer(time, [0.4, 0.1]), time, size=6.0)
-    assert choose_window(stretch, 0.0, (SLIDE, ROLL, SLIDE_AND_ROLL)) is stretch
+    assert choose_window(stretch, 0.0, (SLIDE, ROLL, SLIDE_AND_ROLL), FALL) is stretch
 
 
 def test_errors_that_the_scatter_understates_hardly_choose_the_window():
@@ -85,7 +86,7 @@ def test_errors_that_the_scatter_understates_hardly_choose_the_window():
             errors[k] = rho * errors[k - 1] + np.sqrt(1 - rho**2) * errors[k]
         stretch = make_stretch(np.outer(time, [0.4, 0.1]) + NOISE * errors, time, size=0.0)
         for limit in whole:
-            whole[limit] += choose_window(stretch, 0.0, (SLIDE,), limit) is stretch
+            whole[limit] += choose_window(stretch, 0.0, (SLIDE,), FALL, limit) is stretch
     assert whole[MAX_RESIDUAL_SCATTER] >= 57 > 45 > whole[MAX_RESIDUAL_CLAIMED]
 
 

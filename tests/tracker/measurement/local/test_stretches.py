@@ -26,6 +26,9 @@ VALUES = {
 }
 
 
+FALL = 0.8  # 1/s, of the loss of a roll
+
+
 @pytest.mark.parametrize("half_s", [None, 0.04])
 @pytest.mark.parametrize("after", [False, True])
 @pytest.mark.parametrize("motion", VALUES)
@@ -33,16 +36,21 @@ def test_derivatives_are_those_of_differences(motion, after, half_s):
     since = np.linspace(0.013, 0.4, 7) * (1 if after else -1)
     values, step = np.array(VALUES[motion]), 1e-6
     reach = None if half_s is None else np.minimum(half_s, np.abs(since))
-    slope = evaluate_path(motion, values, since, after, reach)[1]
-    moves = [*(np.eye(motion.size) * step), np.zeros(motion.size)]
+    slope = evaluate_path(motion, values, since, after, reach, FALL)[1]
+    moves = np.eye(motion.size + 1 + motion.rolls) * step  # the instant of the contact, and the fall of the loss
     for k, move in enumerate(moves):
-        late = step * (k == motion.size)  # the instant of the contact
+        late, faster = step * (k == motion.size), step * (k == motion.size + 1)
         high, low = (
-            evaluate_path(motion, values + sign * move, since - sign * late, after, reach)[0] for sign in (1, -1)
+            evaluate_path(
+                motion, values + sign * move[: motion.size], since - sign * late, after, reach, FALL + sign * faster
+            )[0]
+            for sign in (1, -1)
         )
         assert slope[k] == pytest.approx((high - low) / (2 * step), abs=1e-7)
-    both = evaluate_path(motion, np.stack([0.9 * values, values]), np.stack([since + 0.01, since]), after, reach)
-    np.testing.assert_array_equal(both[0][1], evaluate_path(motion, values, since, after, reach)[0])
+    assert len(slope) == len(moves)
+    falls = np.array([[1.5 * FALL], [FALL]])
+    both = evaluate_path(motion, np.stack([0.9 * values, values]), np.stack([since + 0.01, since]), after, reach, falls)
+    np.testing.assert_array_equal(both[0][1], evaluate_path(motion, values, since, after, reach, FALL)[0])
     np.testing.assert_array_equal(both[1][1], slope)
 
 
@@ -52,9 +60,34 @@ def test_a_path_of_means_is_the_mean_of_the_path(motion, after):
     """Some of the means hold the end of a slide, or the stop of a body."""
     since, half_s = np.linspace(0.03, 0.4, 23) * (1 if after else -1), 0.025
     values, shifts = np.array(VALUES[motion]), (np.arange(2000) + 0.5) / 1000 - 1
-    path = evaluate_path(motion, values, since, after, np.full(23, half_s))[0]
-    single = [evaluate_path(motion, values, since + half_s * shift, after)[0] for shift in shifts]
+    path = evaluate_path(motion, values, since, after, np.full(23, half_s), FALL)[0]
+    single = [evaluate_path(motion, values, since + half_s * shift, after, None, FALL)[0] for shift in shifts]
     assert path == pytest.approx(np.mean(single, axis=0), abs=1e-9)
+
+
+@pytest.mark.parametrize("motion", [ROLL, SLIDE_AND_ROLL])
+@pytest.mark.parametrize("after", [False, True])
+def test_a_loss_that_falls_with_the_speed_is_that_of_its_equation_of_motion(motion, after):
+    """dv/dt = -(D + C v), solved in steps, to the error that the fourth power of the time leaves: L C^2 t^4/24."""
+    rate, values = 0.2, np.array(VALUES[motion])
+    tau = 0.1 if motion.ends else 0.0
+    lasts = 0.3 if after or not motion.ends else tau  # of the roll: a slide comes before it
+    push = values[4:6] if motion.ends else np.zeros(2)
+    start = values[:2], values[2:4]
+    if motion.ends and after:
+        start = values[:2] + values[2:4] * tau + push * tau**2 / 2, values[2:4] + push * tau
+    speed, way, steps, loss = float(np.hypot(*start[1])), 0.0, 20000, values[-1]
+    at_start, dt = speed, lasts / steps * (1 if after else -1)
+    for _ in range(steps):
+        middle = speed - (loss + rate * (speed - at_start)) * dt / 2
+        way, speed = way + middle * dt, speed - (loss + rate * (middle - at_start)) * dt
+    seen = np.array([(tau if motion.ends else 0.0) + lasts if after else -lasts])
+    end = start[0] + way * start[1] / at_start
+    error = loss * rate**2 * lasts**4 / 24
+    found = evaluate_path(motion, values, seen, after, None, rate)[0][0]
+    assert np.hypot(*(found - end)) < 1.1 * error + 1e-12
+    without = evaluate_path(motion, values, seen, after)[0][0]
+    assert np.hypot(*(without - end)) > 10 * error
 
 
 @pytest.mark.parametrize("after", [False, True])
