@@ -164,7 +164,7 @@ def test_means_of_neighbours_bias_no_velocity(stops_s):
 
 @pytest.mark.parametrize("lasting", [0.0, 5e-6])
 def test_hits_are_solved_together_as_alone(lasting):
-    """Of different numbers of positions, starts, priors and sizes of the errors; but for rounding far from the minimum."""
+    """Of different numbers of positions, starts, priors and sizes of the errors, but for rounding."""
     given = ((1, 8, None), (2, 20, None), (3, 13, 0.01))
     problems = [make_problem(seed, count, lasting=lasting, reach=reach) for seed, count, reach in given]
     problems.append(replace(problems[1], priors=LocalPriors(DIAMETER, loss=0.3, turn=0.2)))
