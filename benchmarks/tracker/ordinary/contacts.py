@@ -41,12 +41,14 @@ class NotOk:
         return Verdict(", ".join([*map(str, status), *said]), bool(status) and "ok" not in status and not missing)
 
 
-def measure_hit(hit: Any, seed: int = 0) -> Callable[[Path], Words]:
+def measure_hit(hit: Any, seed: int = 0, decimals: int = 15) -> Callable[[Path], Words]:
     """Tracks of a simulated hit in metres, and `tracker measure` of them."""
 
     def make(folder: Path) -> Words:
         write_camera(folder, hit.camera)
-        hit.tracks(np.random.default_rng(seed)).to_csv(folder / "t.csv", index=False)
+        hit.tracks(np.random.default_rng(seed)).round({"x": decimals, "y": decimals}).to_csv(
+            folder / "t.csv", index=False
+        )
         return ["tracker", "measure", "t.csv", "--camera", "camera.json", "--unit", "m", "-o", "new", "--no-pages"]
 
     return make
@@ -155,6 +157,9 @@ def list_cases() -> list[Case]:
     others: dict[str, tuple[Callable[[Path], Words], Judge]] = {
         "balls that roll, contact of 8 ms, r .85": (
             measure_hit(hit(0.008, r=0.85, friction=0.2)), Measured({**slow, "r": 0.85, "mu_k": 0.2}),
+        ),
+        "discs of a simulation without noise, to 10 nm": (
+            measure_hit(hit(0.0, b=0.3, noise=0.0), decimals=8), Measured({**slow, "r": 0.9}, off=1e-6),
         ),
         "Hertz contact of 10 ms, r .7": (measure_hit(hit(0.01, r=0.7, law="hertz")), Measured({**slow, "r": 0.7})),
         "discs with tape that stay together": (

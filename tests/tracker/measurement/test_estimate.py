@@ -360,3 +360,13 @@ def test_values_of_a_time_that_is_not_seen_are_named(friction, after, seen):
     if friction == 0:  # with a value that only holds for balls that come to roll
         kept = hit.b**2 + (1 - hit.b**2) * (1 + hit.r**2) / 2
         assert row["energy_fraction"] < kept - 5 * row["energy_fraction_std"]
+
+
+@pytest.mark.parametrize("decimals", [6, 8, 10])
+def test_simulated_discs_that_keep_their_speed_but_for_rounding_are_measured(decimals):
+    hit = SoftHit(0.0, r=0.9, b=0.3, noise=0.0)
+    tracks = hit.tracks(np.random.default_rng(0)).round({"x": decimals, "y": decimals})
+    (row,) = tracker.measure(tracks, hit.camera, unit="m").rows
+    assert row["status"] == "ok"
+    assert row["r"] == pytest.approx(0.9, abs=1e-4)
+    assert np.isnan(row["drag_paper"])
