@@ -1,17 +1,23 @@
 """What one film of a crowd shows: a heavier ball, friction between the balls that falls with speed, or a tilted plate.
 
 python -m benchmarks.search.crowd_laws KIND [--films 6] [--first 1] [-o out/crowd_laws.json]
-KIND: heavier, equal, falling, coulomb, tilted, level
+KIND: heavier, equal, falling, coulomb, coulomb_heavier, coulomb_tilted, transfer, tilted, level
 
 No film is rendered. Positions are true ones with 0.05 px noise, at 1,000 frames a second. `heavier`: thirty balls in a
 tray for 0.5 s, and the first ball has 1.3 times the mass of the others; `equal`: none has. `falling`: 36 balls for
-0.3 s with a friction of 0.03 + 0.4 exp(-u / 0.12 m/s) between them; `coulomb`: it is 0.1.
+0.3 s with a friction of 0.03 + 0.4 exp(-u / 0.12 m/s) between them; `coulomb`: it is 0.1; `coulomb_heavier`,
+`coulomb_tilted`: and the first ball has 1.3 times the mass, or the plate is tilted by 1 mrad; `transfer`: each contact
+stops the same share of the slip.
 
-Each line has the law of the recoil or of the friction that `discrepancy find` names, its sigma and its numbers, and for
-a heavier ball whether it is the right one, without a rival. A friction that falls is right if it is named as such, not
-only as a rival. Its line also has two bounds: by how many sigma the true friction differs from the best constant one,
-by the claimed errors of the friction, at the true slips. One is that of contacts whose slip the search can trace, the
-other that of all measured contacts, as if all slips were known.
+Each line has the law of the recoil or of the friction that `discrepancy find` names, its sigma and its numbers. The
+last line counts the films that are right:
+
+- a heavier ball is named, without a rival;
+- friction that falls is named as such, not only as a rival;
+- friction that does not fall is not said to fall, not even as a rival.
+
+A line of `falling` also has a bound. It takes the true slips as known, and the claimed errors of the friction. The
+bound is by how many sigma the true friction then differs from the best constant one.
 
 `tilted` and `level` search the free stretches of the scene `crowd`, on a plate that is tilted by 1 mrad or not at all.
 """
@@ -30,28 +36,35 @@ import discrepancy
 import tracker
 from benchmarks.harness import ROOT, keep, save
 from benchmarks.tracker.crowd_contacts import measure_true_positions, name_balls
-from discrepancy.data.contacts import read_contacts, trace_slips
+from discrepancy.data.contacts import read_contacts
+from discrepancy.data.slips import trace_slips
 from discrepancy.select.contact_effects import select_contact_laws
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
 
 REACH_S = 0.008  # within which a measured contact is a true one
-TRACED = 0.5  # error of a slip, relative, up to which the search uses it
 EXCESS = 0.3  # of the mass of the heavier ball
 FALLING = {"mu": 0.03, "rise": 0.4, "fall": 0.12}
 COULOMB = {"mu": 0.1}
 TILT = 1e-3
-KINDS = ("heavier", "equal", "falling", "coulomb", "tilted", "level")
+OF_FRICTION: dict[str, dict[str, Any]] = {
+    "falling": {"ball_friction": FALLING},
+    "coulomb": {"ball_friction": COULOMB},
+    "coulomb_heavier": {"ball_friction": COULOMB},
+    "coulomb_tilted": {"ball_friction": COULOMB, "plate_tilt": {"x": TILT}},
+    "transfer": {},
+}
+KINDS = ("heavier", "equal", *OF_FRICTION, "tilted", "level")
 
 
 def make_tray(
-    excess: float = 0.0, *, balls: int = 30, frames: int = 500, friction: dict[str, float] | None = None
+    excess: float = 0.0, *, balls: int = 30, frames: int = 500, effects: dict[str, Any] | None = None
 ) -> Scene:
     """Steel balls in a tray of 50 x 36 mm, of which the first has so much more mass than the others."""
     corners = [[-0.025, -0.018], [0.025, -0.018], [0.025, 0.018], [-0.025, 0.018]]
     usual = {"gap": 4e-4, "rms_speed": 0.25}
     mass = (1 + excess) * 7800 * np.pi / 6 * 0.00238**3
-    law: dict[str, Any] = {} if friction is None else {"effects": {"ball_friction": friction}}
+    law: dict[str, Any] = {"effects": effects} if effects else {}
     return Scene.build(
         "tray",
         groups=[
@@ -101,11 +114,11 @@ def read_true_slips(clip: Clip) -> pd.DataFrame:
 
 
 def bound_fall(clip: Clip, result: tracker.Result) -> dict[str, float]:
-    """How many sigma the fall of the friction has: of contacts whose slip is traced, and of all measured ones."""
+    """How many measured contacts a film has, and by how many sigma their friction falls if all slips are known."""
     true, names, rows = read_true_slips(clip), name_balls(clip, result), result.estimates.to_dict("records")
     by_number = {row["collision"]: row for row in rows if not row["misfit_local"]}
     found = list[dict[str, float]]()
-    for number, traced in trace_slips(rows, result.contacts).items():
+    for number, traced in trace_slips(rows, result.contacts, result.camera.ball_diameter).items():
         if number not in by_number:
             continue
         row = by_number[number]
@@ -113,32 +126,27 @@ def bound_fall(clip: Clip, result: tracker.Result) -> dict[str, float]:
         same = (np.sort(true[["i", "j"]].to_numpy(), axis=1) == balls).all(axis=1)
         late = np.where(same, np.abs(true["t_s"] - row["t_c_local"]), np.inf)
         if late.min() < REACH_S:
-            known = traced.across_std < TRACED * traced.size
-            found.append(dict(true.iloc[late.argmin()]) | {"std": traced.friction_std, "known": known})
+            found.append(dict(true.iloc[late.argmin()]) | {"std": traced.friction_std})
     table = pd.DataFrame(found)
-    parts = {"traced": table[table["known"].astype(bool)], "measured": table}
-    return {f"{name}_{key}": value for name, part in parts.items() for key, value in _differ(part).items()}
+    share, sticks, std, slip = (table[name].to_numpy(float) for name in ("share", "sticks", "std", "slip"))
+    falling = FALLING["mu"] + FALLING["rise"] * np.exp(-slip / FALLING["fall"])
+    differs, tried = np.minimum(falling * share, sticks), np.linspace(0.0, 0.5, 501)[:, None]
+    off = (differs - np.minimum(tried * share, sticks)) / std
+    return {"bound_contacts": len(table), "bound_sigma": float(np.sqrt((off**2).sum(axis=1).min()))}
 
 
-def _differ(contacts: pd.DataFrame) -> dict[str, float]:
-    """The number of contacts, and the sigma of the true friction over the best constant one."""
-    share, sticks, std = (contacts[name].to_numpy(float) for name in ("share", "sticks", "std"))
-    falling = FALLING["mu"] + FALLING["rise"] * np.exp(-contacts["slip"].to_numpy(float) / FALLING["fall"])
-    true, tried = np.minimum(falling * share, sticks), np.linspace(0.0, 0.5, 501)[:, None]
-    off = (true - np.minimum(tried * share, sticks)) / std
-    return {"contacts": len(contacts), "sigma": float(np.sqrt((off**2).sum(axis=1).min()))}
+def _describe_film(kind: str) -> dict[str, Any]:
+    return {"balls": 36, "frames": 300, "effects": OF_FRICTION[kind]} if kind in OF_FRICTION else {}
 
 
 def search_film(kind: str, seed: int) -> dict[str, Any]:
     """The law of one film, with its numbers, and whether it is the true one."""
     if kind in ("tilted", "level"):
         return search_stretches(kind, seed)
-    friction = {"falling": FALLING, "coulomb": COULOMB}.get(kind)
-    heavier = make_tray(EXCESS if kind == "heavier" else 0.0)
-    scene = heavier if friction is None else make_tray(balls=36, frames=300, friction=friction)
-    clip = scene.draw(seed=seed)
+    excess, of_friction = EXCESS if "heavier" in kind else 0.0, kind in OF_FRICTION
+    clip = make_tray(excess, **_describe_film(kind)).draw(seed=seed)
     result: tracker.Result = measure_true_positions(clip, seed)
-    quantity = "recoil" if friction is None else "friction"
+    quantity = "friction" if of_friction else "recoil"
     claims = [one for one in select_contact_laws(read_contacts([result])) if one.quantity == quantity]
     if not claims:
         return {"law": "too few contacts", "right": False, "sigma": 0.0, "numbers": []}
@@ -172,10 +180,8 @@ def main() -> None:
         one = found[part] = keep(given.output.with_suffix(".jsonl"), part, partial(search_film, given.kind, seed))
         numbers = ", ".join(f"{value:.4g}({std:.2g})" for value, std in one["numbers"])
         print(f"{part}: {one['law']}, {one['sigma']:.1f} sigma, {numbers}; contacts: {one.get('contacts')}", flush=True)
-        if "traced_sigma" in one:
-            for name in ("traced", "measured"):
-                contacts, sigma = one[f"{name}_contacts"], one[f"{name}_sigma"]
-                print(f"  bound by {contacts} {name} contacts: {sigma:.1f} sigma", flush=True)
+        if "bound_sigma" in one:
+            print(f"  bound by {one['bound_contacts']} contacts: {one['bound_sigma']:.1f} sigma", flush=True)
     save(given.output, found)
     print(f"{sum(one['right'] for one in found.values())} of {len(found)} films are right")
 

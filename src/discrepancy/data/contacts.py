@@ -10,8 +10,10 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pandas as pd
+from numpy.polynomial.hermite_e import hermegauss
 
 from discrepancy.data.momentum_balances import MomentumBalance, balance_groups
+from discrepancy.data.slips import AXES, Slip, trace_slips
 from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
@@ -24,9 +26,8 @@ from tracker.results import read_contact_table as read_all_contacts
 
 NAMES = ("v0", "b", "r", "s", "mass_ratio")  # what is read of the local estimate
 QUANTITIES = ("restitution", "friction", "recoil")
-PER_IMPULSE = 2.5  # change of R times the spin of a solid ball, over J/m
-USUAL_FRICTION = 0.15  # of steel, glass and plastic, on one another and on a wall
-AXES = ("1i", "2i", "1o", "2o")  # struck and striking ball, before and after the contact
+SLIP_COLUMNS = ("slip_t", "slip_t_std", "slip_down", "slip_down_std", "slip")
+NODES = 7  # of a quadrature over the error of each component of a slip
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,10 @@ class Contacts:
     speed_n: Array
     speed_t: Array
     slip_t: Array  # of the surfaces, across the line of centres in the plane, with the sign of the velocity, m/s
-    slip: Array  # its size, with the vertical part, m/s
+    slip_t_std: Array  # 0 where the velocities alone show the slip, as of two balls
+    slip_down: Array  # its vertical part, m/s, with its standard error
+    slip_down_std: Array
+    slip: Array  # its size by the best estimates of both parts, m/s
     restitution: Array
     restitution_std: Array
     friction: Array
@@ -120,6 +124,14 @@ class Contacts:
         """Some of the contacts."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
+    def spread_slips(self) -> tuple[Array, list[Self]]:
+        """The contacts with slips (k times) that are spread by their errors, and the weights (k,) of these slips."""
+        points, weights = hermegauss(NODES)
+        share = np.outer(weights, weights).ravel() / weights.sum() ** 2
+        across = [self.slip_t + point * self.slip_t_std for point in points]
+        down = [self.slip_down + point * self.slip_down_std for point in points]
+        return share, [replace(self, slip_t=one, slip_down=other) for one in across for other in down]
+
     def split_errors(self, quantity: str) -> tuple[Array, Array]:
         """The standard errors (n,) of each contact alone, and the effects (n, k) of errors that several share."""
         effects = self.shared[:, [QUANTITIES.index(quantity)]]
@@ -181,7 +193,10 @@ def _read_row(row: Mapping[Any, Any], stated: float) -> dict[str, Any]:
         "speed_n": speed_n,
         "speed_t": speed_t,
         "slip_t": speed_t,
-        "slip": speed_t if glides else v0,  # a rolling striker's surface moves down at about its speed
+        "slip_t_std": 0.0,
+        "slip_down": 0.0 if glides else speed_n,  # a rolling striker's surface moves down at about its speed
+        "slip_down_std": 0.0,
+        "slip": speed_t if glides else v0,
         "restitution": r,
         "restitution_std": r_std,
         "friction": (1 - s) * speed_t / ((1 + r) * speed_n),
@@ -209,19 +224,15 @@ def _find_turn(row: Mapping[Any, Any]) -> tuple[float, float]:
     return float(one[0] * other[1] - one[1] * other[0]) / size, float(row["balance_t_local_std"]) / size**0.5
 
 
-def _read_slip(
-    row: Mapping[Any, Any], slips: Mapping[int, Slip], friction_std: float, *, max_slip_error: float = 0.5
-) -> dict[str, Any]:
-    """The columns of a contact of a crowd that depend on spins; NaN where the slip is less known than this share."""
+def _read_slip(row: Mapping[Any, Any], slips: Mapping[int, Slip], friction_std: float) -> dict[str, Any]:
+    """The columns of a contact of a crowd that depend on spins; NaN where the slip is not traced."""
     out: dict[str, Any] = {"bodies": (int(row["particle1"]), int(row["particle2"]))}
     slip = slips.get(int(row["collision"]))
-    if slip is None or not slip.across_std < max_slip_error * slip.size:
-        return out | dict.fromkeys(("slip_t", "slip", "friction", "friction_std"), np.nan)
-    out |= {"slip_t": slip.across, "slip": slip.size}
-    if not np.isfinite(friction_std):
-        out["friction"], friction_std = slip.friction, slip.friction_std
-    by_slip = USUAL_FRICTION * slip.across_std / slip.size
-    return out | {"friction_std": float(np.hypot(friction_std, by_slip))}
+    if slip is None:
+        return out | dict.fromkeys((*SLIP_COLUMNS, "friction", "friction_std"), np.nan)
+    values = (slip.across, slip.across_std, slip.down, slip.down_std, slip.size)
+    out |= dict(zip(SLIP_COLUMNS, values, strict=True))
+    return out if np.isfinite(friction_std) else out | {"friction": slip.friction, "friction_std": slip.friction_std}
 
 
 def read_contacts(measured: Path | Sequence[Result] | pd.DataFrame) -> Contacts:
@@ -236,9 +247,10 @@ def read_contacts(measured: Path | Sequence[Result] | pd.DataFrame) -> Contacts:
         stated[film.clip] = film.mass_ratio
         if (film.rows["status"] == CROWD).any():
             contacts = film.read_contacts()
-            slips[film.clip] = trace_slips(own, contacts)
+            tracks, camera = film.read_tracks()
+            slips[film.clip] = trace_slips(own, contacts, camera.ball_diameter if camera.knows_diameter else None)
             known = {int(row["collision"]) for row in own if np.isfinite(row["mass_ratio"])}
-            balances[film.clip] = balance_groups(*film.read_tracks(), contacts, known)
+            balances[film.clip] = balance_groups(tracks, camera, contacts, known)
     found = Contacts.of(rows, stated, slips)
     for clip, groups in balances.items():
         found = found.with_balances(clip, groups)
@@ -275,83 +287,3 @@ def _iterate_films(measured: Path | Sequence[Result]) -> Iterator[_Film]:
 
 def _get_tracks(result: Result) -> tuple[Tracks, Camera]:
     return result.found, result.camera
-
-
-@dataclass(frozen=True)
-class Slip:
-    """The slip of a contact just before it, and the impulse that followed, both with the sign of the velocity across.
-
-    across: m/s, of the surfaces along the tangent in the plane, and its standard error.
-    size: with the vertical part, m/s.
-    friction: tangential over normal impulse, and its standard error.
-    """
-
-    across: float
-    across_std: float
-    size: float
-    friction: float
-    friction_std: float
-
-
-def trace_slips(rows: Iterable[Mapping[Any, Any]], contacts: pd.DataFrame) -> dict[int, Slip]:
-    """Trace the slips of the contacts of one film of a crowd by the number of their collision.
-
-    A plain ball does not show its spin on film. But each contact shows the tangential impulse J. It changes the spin of
-    both balls by J / (2/5 m R) against the slip. In a first approximation nothing else changes the spin, which is zero
-    at the start. Both balls share the error of their impulse, so it counts twice if they meet again. A wall, or a
-    contact without a local estimate, changes the spin by an unknown amount, but at most by that of a usual friction.
-
-    rows: the estimates of the film. contacts: the columns of contacts.parquet.
-    """
-    by_number = {int(row["collision"]): row for row in rows}
-    spin, errors, out = dict[int, float](), dict[int, dict[int, float]](), dict[int, Slip]()  # errors: by event
-    for number, event in enumerate(contacts.sort_values("t_s").to_dict("records")):
-        row = by_number.get(int(event["collision"]))
-        balls = [int(event[name]) for name in ("particle1", "particle2") if int(event[name]) >= 0]
-        if row is None or not _is_measured(row):
-            for ball in balls:
-                errors.setdefault(ball, {})[number] = PER_IMPULSE * USUAL_FRICTION * float(event["kick"])
-            continue
-        turning = sum(spin.get(ball, 0.0) for ball in balls)  # R times the sum of both spins
-        both = [errors.setdefault(ball, {}) for ball in balls]
-        error = sum(sum(own.get(k, 0.0) for own in both) ** 2 for k in set().union(*both))
-        slip, change, change_std = _find_slip(row, turning, error, row.get("motion_local") == "glide")
-        out[int(event["collision"])] = slip
-        spin |= {ball: spin.get(ball, 0.0) + change for ball in balls}
-        for own in both:
-            own[number] = change_std
-    return out
-
-
-def _is_measured(row: Mapping[Any, Any]) -> bool:
-    names = ("v0_local", "b_local", "r_local", *(f"v{k}{axis}_local" for k in AXES for axis in "xy"))
-    return all(np.isfinite([row[name], row[f"{name}_std"]]).all() for name in names)
-
-
-def _find_slip(row: Mapping[Any, Any], turning: float, variance: float, glides: bool) -> tuple[Slip, float, float]:
-    """The slip of a contact, and how R times the spin of each ball then changes, with its error.
-
-    turning, variance: R times the sum of both spins before. glides: the surfaces of bodies that do not roll have no
-    vertical velocity.
-    """
-    v0, b, r = (float(row[f"{name}_local"]) for name in ("v0", "b", "r"))
-    into1, into2, out1, out2 = (np.array([float(row[f"v{k}{axis}_local"]) for axis in "xy"]) for k in AXES)
-    heading = (into2 - into1) / np.hypot(*(into2 - into1))
-    cosine = np.sqrt(max(1 - b * b, 1e-6))
-    normal = cosine * heading + b * np.array([heading[1], -heading[0]])  # from the striking to the struck ball
-    tangent = np.array([-normal[1], normal[0]])
-    along, across = v0 * cosine, v0 * b
-    impulse = float(tangent @ ((out1 - into1) - (out2 - into2))) / 2  # over m, on the struck ball
-    noise = np.sqrt(sum(float(row[f"v{k}{axis}_local_std"]) ** 2 for k in AXES for axis in "xy") / 2) / 2
-    impulse_std = float(np.hypot(noise, (1 + r) / 2 * along * float(row["b_local_std"]) / cosine))
-    normal_impulse = (1 + r) / 2 * along
-    sign = 1.0 if b >= 0 else -1.0
-    slip = Slip(
-        across=sign * (across + turning),
-        across_std=float(np.sqrt(variance + float(row["v0_local_std"]) ** 2 * b * b)),
-        size=float(np.hypot(across + turning, 0.0 if glides else (into1 + into2) @ normal)),
-        friction=sign * impulse / normal_impulse,
-        friction_std=float(np.hypot(impulse_std, impulse * float(row["r_local_std"]) / (1 + r)) / normal_impulse),
-    )
-    per_impulse = 2.0 if glides else PER_IMPULSE  # bodies that glide are taken to be discs
-    return slip, -per_impulse * impulse, per_impulse * impulse_std

@@ -31,6 +31,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from discrepancy.data.contacts import Contacts
+from discrepancy.data.slips import USUAL_FRICTION
 from discrepancy.policy import current_policy
 from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.random_effects import fit_random_effects
@@ -54,25 +55,46 @@ class ContactLaw:
     causes: tuple[str, ...] = ()
     trials: int = 0
     limit: Callable[[Contacts], Array] | None = None  # (n, 1) of the quantity, where surfaces of balls stick
+    contains: str | None = None  # the law that it is without its last number
+    of_slip: bool = False  # whether the design depends on slips, which have errors in a crowd
 
     def fit(self, contacts: Contacts, value: Array, errors: tuple[Array, Array], price: Array) -> _Fit:
         """Fit the law to values (n,) with their own errors (n,) and shared ones (n, k); price: of odd contacts (n,).
 
-        In a crowd, contacts beyond the limit may have that value instead, if the law fits better so.
+        In a crowd, a law is averaged over the slips that the errors allow. Its scatter over them is one more error.
+        Contacts beyond the limit may have that value instead, if the law fits better so.
         """
-        design = self.design(contacts)
-        found = plain = _Fit.of(value, *errors, design, price)
-        if self.limit is None or not contacts.of_crowd.all():
-            return plain
-        most, sticks = self.limit(contacts)[:, 0], np.zeros(len(value), dtype=bool)
-        for _ in range(5):
-            now = np.abs(design @ found.coefficients) > np.abs(most)
-            if (now == sticks).all() or np.count_nonzero(~now) < 2 * design.shape[1] + 1:
+        if not (self.of_slip and contacts.of_crowd.all()):
+            return _Fit.of(value, *errors, self.design(contacts), price)
+        weights, spread = contacts.spread_slips()
+        designs = np.stack([self.design(one) for one in spread])
+        found = [self._fit_over_slips(value, errors, price, weights, designs, np.full(designs.shape[:2], np.inf))]
+        if self.limit is not None:
+            most = np.stack([self.limit(one)[:, 0] for one in spread])
+            found.append(self._fit_over_slips(value, errors, price, weights, designs, most))
+        return min(found, key=lambda fit: fit.cost)
+
+    def _fit_over_slips(
+        self, value: Array, errors: tuple[Array, Array], price: Array, weights: Array, designs: Array, limit: Array
+    ) -> _Fit:
+        """Fit a law with designs (k, n, p) at k slips of each contact, where it is at most so large (k, n)."""
+        (std, shared), sticks, most = errors, np.zeros(limit.shape, dtype=bool), limit
+        scatter = USUAL_FRICTION * _scatter_over(weights, designs[..., 0]) if designs.shape[2] else np.zeros(len(value))
+        for _ in range(12):
+            free = np.tensordot(weights, np.where(sticks[..., None], 0.0, designs), axes=1)
+            stuck = weights @ np.where(sticks, most, 0.0)
+            fit = _Fit.of(value - stuck, np.hypot(std, scatter), shared, free, price)
+            law = designs @ fit.coefficients
+            if self.contains is not None:  # a friction that falls ends at none
+                most = np.where(law * designs[..., 0] < 0, 0.0, limit)
+            now = np.abs(law) > np.abs(most)
+            before, scatter = scatter, _scatter_over(weights, np.where(now, most, law))
+            if (now == sticks).all() and np.allclose(before, scatter, rtol=0.02, atol=1e-4):
+                break
+            if np.count_nonzero(weights @ ~now > 0.5) < 2 * designs.shape[2] + 1:
                 break
             sticks = now
-            free = np.where(sticks[:, None], 0.0, design)
-            found = _Fit.of(value - np.where(sticks, most, 0.0), *errors, free, price)
-        return min(found, plain, key=lambda fit: fit.cost)
+        return fit
 
     def describe(self, fit: _Fit) -> str:
         """Give its name; a body that is heavier by a negative share is lighter."""
@@ -85,6 +107,13 @@ class ContactLaw:
         """
         shows = np.abs(fit.predict()) > MIN_EFFECT_SIGMA * np.sqrt(fit.variance)
         return self.trials == 0 or float(contacts.share[shows].sum()) > 1
+
+    def has_sign(self, fit: _Fit, contacts: Contacts, sign: Array) -> bool:
+        """Decide whether it has a sign (n,). In a crowd, friction may fall to none in less than half the contacts."""
+        positive = sign * (self.design(contacts) @ fit.coefficients) >= 0
+        if self.contains is not None and contacts.of_crowd.all():
+            return bool(fit.coefficients[-1] > 0 and positive.mean() > 0.5)
+        return bool(positive.all())
 
     @property
     def price(self) -> float:
@@ -151,6 +180,11 @@ def _compare_with_odd(value: Array, variance: Array) -> Array:
     return np.nan_to_num(value**2 * (1 / odd - 1 / variance) + np.log(odd / variance))
 
 
+def _scatter_over(weights: Array, values: Array) -> Array:
+    """The standard deviation (n,) of values (k, n) with weights (k,)."""
+    return np.asarray(np.sqrt(np.maximum(weights @ values**2 - (weights @ values) ** 2, 0.0)))
+
+
 def _ones(contacts: Contacts) -> Array:
     return np.ones((len(contacts), 1))
 
@@ -164,14 +198,18 @@ def _steepness(contacts: Contacts) -> Array:
     return np.asarray((contacts.slip_t / ((1 + contacts.restitution) * contacts.speed_n))[:, None])
 
 
+def _slip(contacts: Contacts, least: float) -> Array:
+    return np.maximum(np.hypot(contacts.slip_t, contacts.slip_down), least)
+
+
 def _across(contacts: Contacts) -> Array:
     """The share of Coulomb friction in the plane: the surface of a rolling striker, not of a disc, also moves down."""
-    return np.asarray((contacts.slip_t / np.maximum(contacts.slip, 1e-9))[:, None])
+    return np.asarray((contacts.slip_t / _slip(contacts, 1e-9))[:, None])
 
 
 def _across_falling(contacts: Contacts) -> Array:
-    slip = np.maximum(contacts.slip, 1e-3)
-    return np.asarray(_across(contacts) * np.column_stack([np.ones(len(slip)), -np.log(slip / np.median(slip))]))
+    slip = _slip(contacts, 1e-3) / np.median(np.maximum(contacts.slip, 1e-3))
+    return np.asarray(_across(contacts) * np.column_stack([np.ones(len(slip)), -np.log(slip)]))
 
 
 def _sticking(contacts: Contacts) -> Array:
@@ -209,15 +247,17 @@ LAWS: dict[str, tuple[ContactLaw, ...]] = {
     ),
     "friction": (
         ContactLaw("none", _nothing, ()),
-        ContactLaw("Coulomb friction", _across, (("mu", "1"),), _RUBBING, limit=_sticking),
+        ContactLaw("Coulomb friction", _across, (("mu", "1"),), _RUBBING, limit=_sticking, of_slip=True),
         ContactLaw(
             "Coulomb friction that falls with the slip speed",
             _across_falling,
             (("mu at the median slip speed", "1"), ("decrease from a speed to e times that", "1")),
             ("falling ball_friction",),
             limit=_sticking,
+            contains="Coulomb friction",
+            of_slip=True,
         ),
-        ContactLaw("a share of the tangential speed stops", _steepness, (("share", "1"),), _RUBBING),
+        ContactLaw("a share of the tangential speed stops", _steepness, (("share", "1"),), _RUBBING, of_slip=True),
     ),
     "recoil": (
         ContactLaw("as the masses say", _nothing, ()),
@@ -264,7 +304,7 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
     value, (std, shared) = getattr(contacts, quantity), contacts.split_errors(quantity)
     price = price_odd_contacts(contacts, quantity)
     fits = [law.fit(contacts, value, (std, shared), price) for law in laws]
-    sign = np.sign(contacts.slip_t) if quantity == "friction" else 1.0  # friction opposes the slip
+    sign = np.sign(contacts.slip_t) if quantity == "friction" else np.ones(len(value))  # friction opposes the slip
     costs = [f.cost + policy.min_noise_gain * f.design.shape[1] + law.price for f, law in zip(fits, laws, strict=True)]
     sigmas = [
         float(np.sqrt(max(fits[0].cost - fit.cost - law.price, 0.0))) for fit, law in zip(fits, laws, strict=True)
@@ -274,19 +314,21 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
     usable = [
         gain > 1
         and sigma > policy.min_claim_sigma
-        and (quantity == "recoil" or bool((sign * fit.predict() >= 0).all()))
+        and (quantity == "recoil" or law.has_sign(fit, contacts, sign))
         and law.is_shown(fit, contacts)
         for law, fit, gain, sigma in zip(laws, fits, gains, sigmas, strict=True)
     ]
     best = min((k for k in range(len(fits)) if k == 0 or usable[k]), key=lambda k: costs[k])
     limit = costs[best] + policy.rival_excluded_chi2
-    near = [k for k in range(1, len(fits)) if k != best and (usable[k] or laws[k].trials) and costs[k] < limit]
+    others = [k for k in range(1, len(fits)) if k != best and (usable[k] or laws[k].trials)]
+    cost_of = {law.name: cost for law, cost in zip(laws, costs, strict=True)}
+    near = [k for k in others if costs[k] < min(limit, cost_of.get(laws[k].contains or "", np.inf))]
     fit, law = fits[best], laws[best]
-    wide, own = np.where(fit.odd, np.hypot(std, ODD_ERROR), std), fit.design.any(axis=1)
+    wide, own = np.where(fit.odd, np.hypot(fit.std, ODD_ERROR), fit.std), fit.design.any(axis=1)
     if own.all() or not own.any():
         own, safe = np.ones(len(value), dtype=bool), wide
     else:  # a few contacts of one ball cannot tell which of them is odd
-        safe = std if quantity == "recoil" else wide
+        safe = fit.std if quantity == "recoil" else wide
     return ContactClaim(
         quantity=quantity,
         law=law.describe(fit),
@@ -317,6 +359,7 @@ class _Fit:
     """A regression with the most likely scatter; cost: -2 log likelihood, with the price of odd values."""
 
     value: Array
+    std: Array  # of each value alone, without scatter
     variance: Array  # of each value alone, with the scatter
     shared: Array  # (n, k): the effects of errors that several values share
     design: Array
@@ -351,7 +394,7 @@ class _Fit:
         none = _cost(value, std**2, shared, design)
         scatter = float(np.exp(best.x)) if best.fun < none - 1e-6 else 0.0
         cost_of_fit = min(float(best.fun), none) + price
-        return cls(value, std**2 + scatter**2, shared, design, scatter, cost_of_fit, odd, odd_price)
+        return cls(value, own, std**2 + scatter**2, shared, design, scatter, cost_of_fit, odd, odd_price)
 
     def predict(self) -> Array:
         """Predict the values (n,) by the law."""

@@ -28,6 +28,9 @@ def draw(count=60, seed=1, shared=None, **laws):
         "speed_n": speed * np.sqrt(1 - sine**2),
         "speed_t": speed * sine,
         "slip_t": speed * sine,
+        "slip_t_std": np.zeros(count),
+        "slip_down": speed * np.sqrt(1 - sine**2),
+        "slip_down_std": np.zeros(count),
         "slip": speed,
     }
     values |= {name: np.full(count, np.nan) for name in ("turn", "turn_std")}
@@ -291,3 +294,45 @@ def test_surfaces_that_stick_hide_no_friction_that_falls(seed):
     truth = 0.2 - 0.15 * np.log(np.median(contacts.slip) / 0.8), 0.15
     for number, expected in zip(claim.numbers, truth, strict=True):
         assert abs(number.value - expected) < min(3 * number.std, 0.04)
+
+
+def draw_with_uncertain_slips(mu, seed, count=60):
+    """A crowd with friction mu(slip). The true slips scatter about the traced ones by 0.01 to 0.3 m/s."""
+    rng = np.random.default_rng(seed)
+    film = crowd(draw(count=count, seed=seed), seed=seed)
+    std = np.geomspace(0.01, 0.3, count)[rng.permutation(count)]
+    seen, down = rng.normal(0, 0.25, count), rng.uniform(0.02, 0.3, count)
+    across = seen + std * rng.standard_normal(count)
+    law = np.minimum(
+        mu(np.hypot(across, down)) * np.abs(across) / np.hypot(across, down),
+        2 / 7 * np.abs(across) / ((1 + film.restitution) * film.speed_n),
+    )
+    values = {"slip_t": seen, "slip_t_std": std, "slip_down": down, "slip": np.hypot(seen, down)}
+    values |= {"friction": np.sign(across) * law + 0.01 * rng.standard_normal(count)}
+    return dataclasses.replace(film, **values, friction_std=np.full(count, 0.01))
+
+
+def test_slips_with_errors_show_friction_that_falls():
+    films = [draw_with_uncertain_slips(lambda u: 0.03 + 0.4 * np.exp(-u / 0.12), seed) for seed in range(6)]
+    as_if_known = [dataclasses.replace(film, slip_t_std=np.zeros(len(film))) for film in films]
+    named, by_wrong_errors = (
+        sum("falling ball_friction" in law_of(film, "friction").causes for film in some)
+        for some in (films, as_if_known)
+    )
+    assert named == 6
+    assert by_wrong_errors < 5
+
+
+def test_a_fall_that_friction_does_not_show_is_no_rival():
+    """Coulomb friction that falls contains Coulomb friction, so that it always fits as well."""
+    films = [draw_with_uncertain_slips(lambda u: 0.1 + 0 * u, seed) for seed in range(6)]
+    claims = [law_of(film, "friction") for film in films]
+    assert all("ball_friction" in claim.causes for claim in claims)
+    assert not any("falling ball_friction" in claim.causes for claim in claims)
+
+
+def test_errors_of_slips_do_not_bias_the_friction():
+    claims = [law_of(draw_with_uncertain_slips(lambda u: 0.1 + 0 * u, seed), "friction") for seed in range(6)]
+    off = np.array([(claim.numbers[0].value - 0.1) / claim.numbers[0].std for claim in claims])
+    assert np.abs(off).max() < 3
+    assert all(claim.numbers[0].std < 0.012 for claim in claims)
