@@ -31,7 +31,8 @@ line says `cut_short`, the table counts it as not named, and a run that continue
 
 The tracks have small accelerations and distortions of their own. `own` is what the set without a cause shows of the
 effect, by one linear step from its base model. `z` is the error of the size, found less own, in its standard errors.
-`own_std` is the standard error of own along the cause. All sizes of a set share it, and z leaves it out.
+`own_std` is the standard error of own along the cause. The tables count the part of it that the size does not share
+(`measure_distance`).
 """
 
 from __future__ import annotations
@@ -490,6 +491,20 @@ def render_results(lines: Sequence[dict[str, Any]]) -> str:
     return "\n".join(rows)
 
 
+def measure_distance(line: Mapping[str, Any]) -> float | None:
+    """Measure how far a size, less own, is from the strength put in, in standard errors; None without a size.
+
+    The size and own come from the same noise. Let the errors of the size and of own be s and o. If one is an efficient
+    estimate, the difference has the variance |o^2 - s^2| (Hausman, Econometrica 46 (1978) 1251). A strong distortion
+    spreads the outermost positions, so s may be a fifth of o. The error that counts is the larger one of s and that of
+    the difference.
+    """
+    if line.get("z") is None:
+        return None
+    own_std = line.get("own_std", line["std"])
+    return float(line["z"] * line["std"] / math.sqrt(max(line["std"] ** 2, own_std**2 - line["std"] ** 2)))
+
+
 def _describe_result(line: Mapping[str, Any]) -> str:
     """Describe a result, with the size over the true one, less own, and its distance in errors."""
     if line.get("cut_short"):
@@ -498,8 +513,8 @@ def _describe_result(line: Mapping[str, Any]) -> str:
     if not line["named"]:
         return false or f"nothing named (`{line['verdict']}`)"
     parts = []
-    if line.get("z") is not None:
-        parts = [f"{1 + line['z'] * line['std'] / line['strength']:.2f}", f"{abs(line['z']):.1f}"]
+    if (distance := measure_distance(line)) is not None:
+        parts = [f"{1 + line['z'] * line['std'] / line['strength']:.2f}", f"{abs(distance):.1f}"]
     if line["shown"] and not any(math.isclose(line["times"], times) for times in TIMES):
         parts.append(f"{line['times']:.1f} times")
     named = f"named ({', '.join(parts)})" if parts else "named"
@@ -515,7 +530,7 @@ def render_sums(lines: Sequence[dict[str, Any]]) -> str:
     groups = _group(lines, lambda line: f"{LABORATORY_WORDS[find_laboratory(line['set'])]}, {_name_kind(line)}")
     for title, group in {**groups, "all": lines}.items():
         shown = [line for line in group if line["shown"]]
-        z = np.array([line["z"] for line in shown if line.get("z") is not None])
+        z = np.array([z for line in shown if (z := measure_distance(line)) is not None])
         counts = [
             len(group),
             sum(bool(line["false"]) for line in group),

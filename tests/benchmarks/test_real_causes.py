@@ -144,6 +144,19 @@ def test_the_tables_count_what_is_named_and_what_is_false():
     assert table.index("| billiards 1 | none") < table.index("| billiards 1 | acc") < table.index("| billiards 1 | pin")
 
 
+def test_the_distance_of_a_size_counts_the_error_of_own_that_it_does_not_share():
+    """Hausman: simulated means of n numbers, and of the first m, differ by the root of the difference of variances."""
+    generator, few, many = np.random.default_rng(5), 4, 100
+    noise = generator.standard_normal((20_000, many))
+    size, own = noise.mean(axis=1), noise[:, :few].mean(axis=1)
+    line = {"std": many**-0.5, "own_std": few**-0.5}
+    distances = [real_causes.measure_distance(line | {"z": z}) for z in (size - own) / line["std"]]
+    assert np.std(distances) == pytest.approx(1, abs=0.03)
+    assert real_causes.measure_distance({"std": 0.1, "own_std": 0.11, "z": 2.0}) == 2.0
+    assert real_causes.measure_distance({"std": 0.1, "z": 2.0}) == 2.0
+    assert real_causes.measure_distance({"std": 0.1}) is None
+
+
 def test_a_set_that_was_searched_again_counts_once(tmp_path):
     cut = {"set": "TIF083A-0", "cause": "lens +1", "times": 5.0, "strength": 0.2, "cut_short": True}
     lines = [cut, cut | {"cause": "lens -1"}, cut | {"cut_short": False}]
