@@ -266,7 +266,8 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> Loca
     found = [json.loads(row["local"]) for row in usable]
     if _is_of_many_masses(usable, found):
         return None
-    balances, by_mass = _Balances.of(found)
+    crowd = any(row.get("status") == CROWD for row in usable)
+    balances, by_mass = _Balances.of(found, crowd)
     recoil = _recoil_by_mass(usable, found, by_mass)
     levers = np.column_stack([[raw["vn"] for raw in found], *recoil])
     best, price = balances.fit(levers)
@@ -289,7 +290,7 @@ def calibrate_rows(rows: Sequence[Mapping[str, Any]], min_hits: int = 8) -> Loca
         hits=len(usable),
     )
     errors = replace(errors, allowances=allowances)
-    if any(row.get("status") == CROWD for row in usable):
+    if crowd:
         errors = replace(errors, common_n=_find_common_error(errors))
     if recoil and any(raw["masses_known"] for raw in found):
         return replace(errors, mass_excess=-float(best[1]))
@@ -355,7 +356,8 @@ class _Balances:
 
     Each balance has the variance of its residuals and of these errors. A wide prior about the errors of one recording
     counts where the residuals hide them. A share of the hits may be anything, such as two contacts at once: their
-    balance is off by a third of the speed.
+    balance is off by a third of the speed. In a crowd a third body may be many times faster than both. So the
+    distribution of such balances has the tails of a Cauchy distribution there.
     """
 
     off: Array  # (hits, 2)
@@ -365,10 +367,11 @@ class _Balances:
     v0: Array  # (hits,)
     known: tuple[Array, Array]  # (hits, 2) of both variances, the parts by errors of what is known of the motions
     usual: float  # logarithm of the errors over v0 that one recording is assumed to have
+    crowd: bool = False
     allowances: float = 1.0  # as in LocalErrors
 
     @staticmethod
-    def of(found: Sequence[Mapping[str, Any]]) -> tuple[_Balances, Array]:
+    def of(found: Sequence[Mapping[str, Any]], crowd: bool) -> tuple[_Balances, Array]:
         """Read the balances, and the derivative of those along n by the logarithm of the mass ratio."""
         at = [LOCAL_NAMES.index(name) for name in BALANCE]
         off = np.array([[raw["value"][k] for k in at] for raw in found])
@@ -381,7 +384,7 @@ class _Balances:
         least = 1e-4  # error of a velocity over that of the hit, where a setting says that there is none
         usual = float(np.log(max(np.median([raw["prior"] for raw in found]), least)))
         known = (fixed - without[0], widened - without[1])
-        return _Balances(off, fixed, widened, spread, v0, known, usual), response[:, 0, 8]
+        return _Balances(off, fixed, widened, spread, v0, known, usual, crowd), response[:, 0, 8]
 
     def find_variance(self, logs: Array, excess: Array | float) -> Array:
         """Variances (..., hits, 2); logs: of both errors over v0; excess: of the errors of residuals, over them."""
@@ -396,7 +399,10 @@ class _Balances:
         odd_share, odd_size = 0.05, 0.3
         var = self.find_variance(logs, excess)
         square = (self.off - np.column_stack([levers @ lever_sizes, 0 * self.v0])) ** 2
-        well, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, var + (odd_size * self.v0[:, None]) ** 2))
+        wide = var + (odd_size * self.v0[:, None]) ** 2
+        well, unusual = (-0.5 * (square / v + np.log(v)) for v in (var, wide))
+        if self.crowd:
+            unusual = -np.log1p(square / wide) - 0.5 * np.log(wide * np.pi / 2)
         likelihood = np.logaddexp(np.log(1 - odd_share) + well, np.log(odd_share) + unusual).sum(axis=-2)
         known = ((logs - self.usual) / PRIOR_WIDTH) ** 2 + (excess / USUAL_EXCESS) ** 2 / 2
         return np.asarray(likelihood - 0.5 * known[..., 0, :])

@@ -56,6 +56,19 @@ def test_a_contact_that_a_third_ball_disturbed_says_nothing_about_the_errors_of_
     assert calibrate_rows([*rows, disturbed | {"misfit_local": False}]) != calibrate_rows(rows)
 
 
+def test_one_contact_with_a_fast_third_ball_does_not_widen_the_errors_of_a_crowd():
+    """It brings ten times the momentum of a slow contact, and free motion describes the paths of both balls."""
+    rows = [row | {"status": "crowd", "misfit_local": False} for row in draw_rows(48, 0.003, 0.003, 0.0)]
+    raw = json.loads(rows[0]["local"])
+    slow = dict.fromkeys(("v0", "vn"), 0.1 * raw["v0"])
+    raw["value"][AT["balance_n"]] = -10 * slow["v0"]
+    disturbed = rows[0] | {"local": json.dumps(raw | slow)}
+    alone, errors = calibrate_rows(rows), calibrate_rows([disturbed, *rows[1:]])
+    assert abs(errors.bias_n) < 3 * errors.bias_std < 0.01
+    assert errors.error_n == pytest.approx(alone.error_n, rel=0.2)
+    assert errors.factor < 1.3 * alone.factor
+
+
 def draw_rows_of_small_claims(times, hits, seed=0):
     """Half of the hits are measured less well, by 0.002 and 0.02 m/s, and all have so many times that error."""
     drawn = (draw_rows(hits // 2, 1e-5, 1e-5, 0.0, seed=seed + k, residual=0.002 * k * times) for k in (1, 10))
