@@ -1,17 +1,20 @@
 """Grey planes of a film in colour in which a shadow hardly shows: differences and distances of colours.
 
-A shadow darkens red, green and blue by one factor, so that their shares of the sum stay. All planes here are made of
-these shares. Their counts are uint8, whatever the depth of the film:
+A shadow darkens red, green and blue by one factor, so that their shares of the sum stay. All planes here but one are
+made of these shares. Their counts are uint8, whatever the depth of the film:
 
 - "red-green", "red-blue", "green-blue": 128 and 127 times the difference of two shares;
 - "colour": the distance from the colours of the picture without balls, 0 to 200. It saturates at a few standard
   deviations of the noise, so that a ball of two colours is one disc;
+- "plate": the distance from the line of colours that the plate takes from shadow to full light, 0 to 200. It saturates
+  in the same way. The plate has one colour, so that balls show where they rest all the time, too;
 - "#rrggbb": how near a pixel is to that colour. It is 200 on the colour, and 0 as far from it as the usual colour of
   the film.
 """
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -20,6 +23,7 @@ from numpy.typing import NDArray
 
 from tracker.camera.camera_keys import CHANNELS, PLANES
 
+PLATE = "plate"
 Colours = NDArray[Any]  # (h, w, 3): red, green, blue
 Shares = NDArray[np.float32]  # (h, w, 3): of the sum of the three
 
@@ -63,9 +67,12 @@ def read_plane(name: str, sample: Callable[[], Sequence[Colours]], white: float)
             return np.rint(128 + 127 * (pair[..., 0] / pair[..., 1])).astype(np.uint8)
 
         return difference
+    top = 200.0  # counts
+    if name == PLATE:
+        line = _fit_plate_line(sample(), white)
+        return lambda picture: np.rint(top - top * cv2.exp(-0.5 * line.measure_squares(picture))).astype(np.uint8)
     shares = [find_shares(picture, white) for picture in sample()]
     usual: Any = np.median(shares, axis=0).astype(np.float32)
-    top = 200.0  # counts
     if name == "colour":
         spread = 1.4826 * np.median([np.sqrt(((s - usual) ** 2).sum(axis=2)) for s in shares], axis=0)
         wide = 2 * round(max(usual.shape[:2]) / 100) + 3  # px, of a neighbourhood with one noise
@@ -89,3 +96,60 @@ def read_plane(name: str, sample: Callable[[], Sequence[Colours]], white: float)
         return np.rint(top * np.clip(1 - far / reach, 0, 1)).astype(np.uint8)
 
     return nearness
+
+
+@dataclass(frozen=True)
+class _PlateLine:
+    """A line in the space of red, green and blue, counts, near which all pixels of the plate lie."""
+
+    point: Any  # (3,)
+    direction: Any  # (3,): of length 1, towards more light
+    noise: tuple[float, float]  # variance beside the line, counts^2, at `point`, and its change per count along it
+    least_noise: float  # counts^2
+
+    def measure_squares(self, picture: Colours) -> NDArray[np.float32]:
+        """Squares (h, w) of the distances from the line, over the distance at which a pixel is another body's."""
+        saturation_spreads = 5.0  # that distance, in standard deviations of the noise
+        light = _smooth(picture)
+        across = np.eye(3) - np.outer(self.direction, self.direction)
+        apart = np.asarray(cv2.transform(light, np.column_stack([across, -across @ self.point])))
+        along = np.asarray(cv2.transform(light, np.append(self.direction, -self.direction @ self.point)[None]))
+        noise = np.maximum(self.noise[0] + self.noise[1] * along, self.least_noise)
+        return np.asarray(_add_colours(apart * apart) / (saturation_spreads**2 * noise), np.float32)
+
+
+def _smooth(picture: Colours) -> Shares:
+    """Red, green and blue with half the noise of single pixels, so that a black ball differs from a shadow."""
+    std_px = 0.5
+    light = np.ascontiguousarray(picture[..., :3], dtype=np.float32)
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), std_px), np.float32)
+
+
+def _fit_plate_line(pictures: Sequence[Colours], white: float) -> _PlateLine:
+    """Fit the line to the pixels of the plate, which are most pixels of the film.
+
+    Shadows and uneven light determine its direction. Where the plate has one brightness, the line goes through black.
+    """
+    through_black, least_std = 1e-3, 0.002 * white  # weight of black among the pixels; counts
+    pixels = np.concatenate([_smooth(picture)[::3, ::3].reshape(-1, 3) for picture in pictures]).astype(float)
+    point = np.zeros(3)
+    total = pixels.sum(axis=1)
+    bright = total >= np.percentile(total, 20)
+    direction = np.median(pixels[bright] / np.maximum(total[bright, None], 1e-9), axis=0)
+    direction /= max(float(np.linalg.norm(direction)), 1e-9)
+    near = np.ones(len(pixels), bool)
+    for turn in range(8):
+        along = (pixels - point) @ direction
+        far = np.linalg.norm(pixels - point - along[:, None] * direction, axis=1)
+        std = max(float(np.median(far[near])) / np.sqrt(2 * np.log(2)), least_std)  # of a Rayleigh distribution
+        near = far < 4 * std
+        if turn > 1:
+            point = pixels[near].mean(axis=0)
+            off = pixels[near] - point
+            spread = off.T @ off / len(off) + through_black * np.outer(point, point)
+            direction = np.linalg.eigh(spread)[1][:, 2]
+            direction *= np.sign(direction.sum())
+    along = (pixels[near] - point) @ direction
+    slope = np.polyfit(along, far[near] ** 2 / 2, 1)[0] if np.ptp(along) > least_std else 0.0
+    noise = float((far[near] ** 2).mean()) / 2
+    return _PlateLine(point, direction, (noise, float(max(slope, 0.0))), least_std**2)

@@ -14,12 +14,13 @@ from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import CHANNELS, PLANES
-from tracker.camera.colour_planes import read_plane
+from tracker.camera.colour_planes import PLATE, read_plane
 from tracker.camera.film_options import BallExample, parse_colour
 from tracker.camera.frames import GREY, Frames, pick_spread, spread_frames
 from tracker.camera.recordings import Recording
 from tracker.detection.background.still_background import estimate_still_background
 from tracker.detection.background.windows import find_regions
+from tracker.detection.balls_on_plate import BallsOnPlate, count_balls_on_plate
 from tracker.detection.candidates import (
     MAX_FITTED,
     MAX_FOLLOWED,
@@ -128,7 +129,8 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     colours = [_shrink(frames.colours(k), shrink) for k in picks]
     found = {GREY: _rate_plane([_shrink(frames[k], shrink) for k in picks], expected)}
     white = frames.white(colours)
-    for name in (*CHANNELS[1:], *PLANES):
+    shares = [name for name in PLANES if name != PLATE]
+    for name in (*CHANNELS[1:], *shares):
         make = read_plane(name, lambda: colours, white)
         found[name] = _rate_plane([make(picture) for picture in colours], expected)
     noisy = {name for name, rating in found.items() if name != GREY and rating.is_like_noise(len(picks))}
@@ -139,8 +141,14 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     if most < min_score or most < (1.5 if found[GREY].share > 0.5 else 1.2) * found[GREY].score:
         best = GREY
     least = max(more_bodies * found[best].bodies, min_score)
-    more = [name for name in PLANES if name in found and found[name].bodies - found[name].changes >= least]
+    more = [name for name in shares if name in found and found[name].bodies - found[name].changes >= least]
     best = max(more, key=lambda name: found[name].score, default=best)
+    plate = _count_on_plate(colours, white, 2 * expected if expected else None)
+    if plate.are_all and plate.total >= more_bodies * max(rating.bodies for rating in found.values()):
+        return PLATE, (
+            f"channel: {PLATE}, because it shows {plate.total} balls, some of which touch or always rest, and {best} "
+            f"{found[best].describe()}; --channel overrides this"
+        )
     if best == GREY:
         return GREY, _describe_noise(found[GREY], {name: rivals[name] for name in noisy}, min_score)
     hint = ", and --ball X,Y@FRAME points at a ball that only grey shows" if found[GREY].bodies else ""
@@ -148,6 +156,11 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
         f"channel: {best}, because it shows {found[best].describe()}, and grey {found[GREY].describe()}; "
         f"--channel overrides this{hint}"
     )
+
+
+def _count_on_plate(colours: list[NDArray[Any]], white: float, diameter: float | None) -> BallsOnPlate:
+    make = read_plane(PLATE, lambda: colours, white)
+    return count_balls_on_plate([make(picture) for picture in colours], diameter)
 
 
 @dataclass(frozen=True)
@@ -275,7 +288,7 @@ def choose_channel_by_examples(clip: Recording) -> tuple[str, str]:
     own = [np.asarray(frames.colours(_row(clip, ball))) for ball in clip.balls]
     white, contrast = frames.white(sample), dict[str, float]()
     grey = np.array((0.299, 0.587, 0.114))
-    for name in (*CHANNELS, *PLANES):
+    for name in (*CHANNELS, *(plane for plane in PLANES if plane != PLATE)):
         read = (lambda p: p[..., :3] @ grey) if name == GREY else read_plane(name, lambda: sample, white)
         planes = np.array([read(picture) for picture in sample], np.float32)
         clutter = float(np.percentile(np.abs(planes - np.median(planes, axis=0)), 99)) + 1.0

@@ -60,6 +60,32 @@ def test_shadows_hands_and_cues_are_no_balls(ball, people):
     assert any(str(note).startswith("channel: ") for note in result.notes)
 
 
+@pytest.mark.parametrize(("name", "seen"), [("plate", True), ("colour", False), ("red-blue", True)])
+def test_a_ball_that_always_rests_shows_in_the_plane_of_the_plate(name, seen):
+    """Beside the cloth, in light that falls off to a fifth; "colour" takes it for the cloth."""
+    rng, ways = np.random.default_rng(0), np.repeat(apart(1)[:1], 9, axis=1)
+    light = np.linspace(0.2, 1.0, 200)[None, :, None]
+    films = draw(ways, [ORANGE], shadow=False) * light + rng.normal(0, 1.0, (9, 160, 200, 3))
+    films = np.clip(np.rint(films), 0, 255).astype(np.uint8)
+    plane = read_plane(name, lambda: list(films), 255.0)(films[4]).astype(float)
+    x, y = np.rint(ways[0, 0]).astype(int)
+    ball, cloth = plane[y - 4 : y + 5, x - 4 : x + 5], np.delete(plane, slice(y - 15, y + 16), axis=0)
+    assert (np.median(ball) - np.median(cloth) > 40) == seen
+
+
+def test_a_black_ball_differs_from_the_deepest_shadow_in_the_plane_of_the_plate():
+    """Both have a fifth of the light of the cloth. In shares of colours an offset of black makes them alike."""
+    rng, black = np.random.default_rng(0), 8.0
+    light = np.tile(np.linspace(0.5, 1.0, 200), (160, 1))
+    light[100:130, 40:90] = 0.15  # a shadow
+    picture = black + light[..., None] * np.array(GREEN)
+    picture[40:60, 40:60] = black + 12.0
+    sample = [np.clip(np.rint(picture + rng.normal(0, 1.0, picture.shape)), 0, 255).astype(np.uint8) for _ in range(5)]
+    plane = read_plane("plate", lambda: sample, 255.0)(sample[0]).astype(float)
+    assert np.median(plane[42:58, 42:58]) > 150
+    assert np.median(plane[103:127, 43:87]) < 50
+
+
 def test_balls_of_two_colours_are_whole_discs():
     ways = np.stack([apart(FRAMES)[0] + [10.0, -10.0], apart(FRAMES)[1] + [10.0, -15.0]])
     pictures = draw(ways, [((20.0, 120.0, 60.0), (225.0, 200.0, 150.0)), ((30.0, 60.0, 110.0), (225.0, 200.0, 150.0))],

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.steps import report_step
-from tracker.camera.colour_planes import is_plane
+from tracker.camera.colour_planes import PLATE, is_plane
 from tracker.camera.frames import Frames, pick_spread
 from tracker.detection.background.still_background import StillBackground, average_uncovered, estimate_still_background
 from tracker.detection.background.takes import find_takes
 from tracker.detection.background.windows import Index, PixelRegion, find_regions
+from tracker.detection.balls_on_plate import find_balls_at_rest
 from tracker.detection.detector import Detections, OutlineRadius, View
 from tracker.detection.glints import Glints, PositionFlag
 from tracker.detection.outlines.contrast_regions import (
@@ -31,8 +32,11 @@ from tracker.detection.outlines.contrast_regions import (
 )
 from tracker.detection.outlines.disc_fit import DiscAppearance, DiscFit, DiscScene, fit_disc
 from tracker.detection.outlines.disc_group import fit_disc_group
+from tracker.detection.outlines.disc_packing import estimate_least_distance, pack_region
 from tracker.detection.outlines.hidden_disc import fit_outline_circle
 
+PLATE_SHIFT_SHARE = 0.25  # shift of a disc in the plane of distances from the plate, over how much it is enlarged
+EVERYWHERE = (slice(None), slice(None))
 ContrastArea: TypeAlias = tuple[PixelRegion, NDArray[np.float32]]  # a region, and its difference from the background
 MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest
 
@@ -107,6 +111,7 @@ class Discs:
             for scene, numbers in samples.items()
         }
         self.in_colour = is_plane(view.channel)  # shadows hardly show; hands and cues do
+        self.on_plate = view.channel == PLATE  # balls show where they always rest, and look larger than they are
         self.elongated = False  # balls look elongated even at rest: the view is oblique, or pixels are not square
         self.signs: tuple[int, ...] = (0,)
         self.dark_balls = True
@@ -118,8 +123,12 @@ class Discs:
             areas = [self._survey_rim(k, np.asarray(view.frames[k])) for k in survey]
             self.radii, self.contrast = self._usual_radius(areas, given if knows_radius else None)
         self.low = max(self.low, 0.2 * self.contrast)  # fainter objects are not balls
+        self.apart = estimate_least_distance(self.radius, 2 * given if knows_radius else None)
+        if self.on_plate:  # a ball of little contrast looks as large as it is
+            self.radii.append(self.apart / 2)
         for scene, numbers in samples.items():
-            self.scenes[scene] = self._clean_background(scene, [np.asarray(view.frames[k]) for k in numbers], tally)
+            clean = self._clear_balls_at_rest if self.on_plate else self._clean_background
+            self.scenes[scene] = clean(scene, [np.asarray(view.frames[k]) for k in numbers], tally)
         self.fitted = tuple(tally.radii)  # radii of whole discs in these frames, px
         if self.is_shaded and len(self.fitted) > 3:
             fitted = np.array(self.fitted)
@@ -232,7 +241,7 @@ class Discs:
                 "lossy video: the errors in tracks are those of the noise of pixels. An encoder may shift an "
                 "outline by .3 px for many frames; a measurement takes its errors from the residuals instead"
             )
-        if len(self.radii) > 1:
+        if len(self.radii) > 1 and not self.on_plate:
             yield "discs of two sizes: " + " and ".join(f"{2 * r:.1f} px across" for r in self.radii)
 
     def _clean_background(self, scene: int, sample: list[NDArray[Any]], tally: _Tally) -> StillBackground:
@@ -242,6 +251,31 @@ class Discs:
             return ground
         tally.to_survey += len(sample)
         return self._average_uncovered(sample, ground, tally)
+
+    def _clear_balls_at_rest(self, scene: int, sample: list[NDArray[Any]], tally: _Tally) -> StillBackground:
+        """The background of a plane of distances from the plate, without the balls that rest all the time."""
+        ground, shares = self.scenes[scene], list[NDArray[np.float32]]()
+        floor = np.float32(np.median(ground.level))
+        at_rest = ground.level - floor > 0.5 * self.contrast
+        for frame in sample:
+            tally.note_surveyed()
+            shares.append((frame - floor) / np.float32(self.contrast))
+        balls = find_balls_at_rest(shares, at_rest, self.radius, self.apart)
+        return StillBackground(np.where(balls, floor, ground.level), ground.error, ground.known | balls)
+
+    def _packed(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[DiscFit]:
+        """The discs of a region of a plane of distances from the plate, together; none if they do not explain it."""
+        return pack_region(part, seen.difference(EVERYWHERE) / self.contrast, radius, self.apart)
+
+    def _in_packing(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[tuple[DiscFit, int]]:
+        """The same, each fitted once more to its edge, where that succeeds, with flags."""
+        group, found = self._packed(seen, part, radius), list[DiscFit]()
+        for one in group:
+            others = [(float(x), float(y)) for x, y in (other.position for other in group if other is not one)]
+            fit = self._fit(seen, radius, one.position, np.zeros(2), others)
+            is_same = fit is not None and abs(fit.radius / one.radius - 1) < 0.15
+            found.append(fit if fit is not None and is_same else one)
+        return [(fit, int(PositionFlag.NEAR)) for fit in found]
 
     def _average_uncovered(self, sample: list[NDArray[Any]], ground: StillBackground, tally: _Tally) -> StillBackground:
         """The same, from objects found over a background that may be wrong where balls rest."""
@@ -322,6 +356,8 @@ class Discs:
 
     def _usual_radius(self, areas: list[list[ContrastArea]], given: float | None) -> tuple[list[float], float]:
         """The common radii of discs in frames spread over the film, px, or the given one; and their contrast."""
+        if self.on_plate:
+            given = None
         seen = self._without_shadows(areas, given)
         if not seen:
             return [given or self.view.camera.diameter_px / 2], 0.0
@@ -331,6 +367,9 @@ class Discs:
         usual = float(contrasts[order][np.searchsorted(weight, weight[-1] / 2)])
         strong = contrasts > 0.35 * usual  # fainter discs do not enter the radius
         still = strong & [float(np.hypot(*p.blur)) < MAX_BLUR_AT_REST * p.minor for p in seen]
+        if self.on_plate:
+            enough = still if still.sum() > 3 else strong
+            return _common_radii(radii[enough], self.settings.disc_radius_tolerance)[:1], usual
         if given:
             return [given], usual
         if still.sum() <= (3 if self.in_colour else 0):
@@ -379,6 +418,10 @@ class Discs:
         """Discs in one part, with their flags."""
         found: list[tuple[DiscFit, int]] = []
         balls, is_one = part.area / (np.pi * radius**2), self._is_disc(part, radius)
+        if self.on_plate and not (is_one and balls < 1.4):
+            packed = self._in_packing(seen, part, self.radius)
+            if packed:
+                return packed
         if is_one:
             fitted = self._fit(seen, radius, part.middle, part.blur)
             flag = PositionFlag.STREAK if np.hypot(*part.blur) > MAX_BLUR_AT_REST * radius else 0
@@ -483,6 +526,9 @@ class Discs:
         cov, fixed = np.array([f.cov for f in found]), np.array([f.fixed for f in found])
         for matrix in (cov, fixed):
             matrix[:, 1, 0] = matrix[:, 0, 1]
+        if self.on_plate:  # a side of less light is enlarged less; the shift is the same in most frames
+            shift = PLATE_SHIFT_SHARE * (self.radius - self.apart / 2)
+            cov, fixed = cov + shift**2 * np.eye(2), fixed + shift**2 * np.eye(2)
         rim = np.minimum.reduce([x, y, shape[1] - 1 - x, shape[0] - 1 - y]) <= radii
         flags |= np.where(rim, PositionFlag.EDGE, 0) | (PositionFlag.SHADED if self.is_shaded else 0)
         area = [np.pi * r**2 for r in radii]

@@ -1,0 +1,195 @@
+"""Fits many touching discs of known radius together to the pixels of one region, as of balls in a rack."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam_shared.arrays import Array, Flags
+from tracker.detection.outlines.contrast_regions import ContrastRegion
+from tracker.detection.outlines.disc_fit import DiscFit
+
+Floats = NDArray[np.floating[Any]]
+MAX_DISCS = 24  # of one region
+EDGE_WIDTH_PX = 1.0  # over which the edge of a disc fades; a plane that saturates has edges as steep as a pixel
+RADIUS_SPREAD = 0.1  # standard deviation of the radii, relative: a disc of more contrast looks larger
+
+
+def estimate_least_distance(radius: float, diameter: float | None) -> float:
+    """Estimate the least distance of two centres, px, in a plane that shows discs about a pixel too large.
+
+    radius: of discs in the plane, px. diameter: of the balls, px, where it is known.
+    """
+    enlargement_px = 1.2  # of a radius: a plane that saturates shows a pixel that a ball covers by a tenth
+    return diameter if diameter is not None else max(2 * (radius - enlargement_px), 1.5 * radius)
+
+
+def pack_region(region: ContrastRegion, cover: Floats, radius: float, apart: float) -> list[DiscFit]:
+    """Fit touching discs to a region of a picture, as `fit_disc_packing`.
+
+    cover: (h, w) of the whole picture, the share of each pixel that discs cover. Pixels of the region count as covered
+    by more than half, and those further than a pixel from it as bare.
+    """
+    rows, columns = region.at
+    top, left = max(rows.start - 2, 0), max(columns.start - 2, 0)
+    at = slice(top, rows.stop + 2), slice(left, columns.stop + 2)
+    own = np.zeros(cover.shape, np.uint8)[at]
+    mask = region.mask[1:-1, 1:-1]
+    inside = own[rows.start - top :, columns.start - left :][: mask.shape[0], : mask.shape[1]]
+    inside[:] = mask
+    near = cv2.dilate(own, np.ones((3, 3), np.uint8))
+    return fit_disc_packing(np.maximum(cover[at] * near, 0.6 * own), (left, top), radius, apart)
+
+
+def fit_disc_packing(cover: Floats, corner: tuple[int, int], radius: float, apart: float) -> list[DiscFit]:
+    """Fit up to `MAX_DISCS` touching discs to a region.
+
+    cover: (h, w), the share of each pixel that discs cover, 0 to 1, and 0 outside the region.
+    corner: left and top of it in the picture.
+    radius: of each disc, px.
+    apart: the least distance of two centres, px; less than two radii where a plane shows discs larger than they are.
+
+    First centres are those whose discs lie in the region, cover pixels that no other disc covers, and follow the
+    outline of the region. Then all centres and radii are fitted to the pixels by least squares. The result is empty
+
+    - where the discs and the region differ too much;
+    - where the convex hull of the region is nearer to it, as to a bar;
+    - where two discs overlap.
+    """
+    min_overlap = 0.9  # area that the union of discs and the region share, over the area that either has
+    reach = int(np.ceil(1.3 * radius)) + 2
+    padded = np.pad(np.clip(cover, 0.0, 1.0), reach).astype(np.float32)
+    centres = _find_first_centres(padded > 0.5, radius, apart)
+    if len(centres) < 2 or len(centres) > MAX_DISCS:
+        return []
+    rows, columns = np.nonzero(cv2.dilate((padded > 0.1).view(np.uint8), np.ones((5, 5), np.uint8)))
+    pixels = _Pixels(columns.astype(float), rows.astype(float), padded[rows, columns].astype(float))
+    fit = _fit_discs(pixels, np.column_stack([centres, np.full(len(centres), radius)]), radius, apart)
+    away = np.hypot(*(fit.discs[:, None, :2] - fit.discs[None, :, :2]).transpose(2, 0, 1))
+    if (away + np.diag(np.full(len(away), np.inf))).min() < 0.83 * apart or fit.overlap < min_overlap:
+        return []
+    if fit.overlap < _measure_solidity(padded > 0.5):
+        return []
+    shift = np.subtract(corner, reach)
+    return [
+        DiscFit(disc[:2] + shift, cov, np.zeros((2, 2)), float(disc[2]), spread=0.0)
+        for disc, cov in zip(fit.discs, fit.covariances, strict=True)
+    ]
+
+
+def _measure_solidity(mask: Flags) -> float:
+    """The area of a region over that of its convex hull: a bar has no waists, as discs that touch have."""
+    points = np.argwhere(mask)[:, ::-1].astype(np.int32)
+    hull = cv2.fillConvexPoly(np.zeros(mask.shape, np.uint8), cv2.convexHull(points), 1)
+    return float(mask.sum() / hull.sum())
+
+
+def _make_disc(radius: float) -> NDArray[np.float32]:
+    """A kernel with the distances of its pixels from the middle, px."""
+    reach = int(np.ceil(radius)) + 1
+    away: NDArray[np.float32] = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]).astype(np.float32)
+    return away
+
+
+def _find_first_centres(mask: Flags, radius: float, apart: float) -> Array:
+    """Centres (n, 2), px: one after the other, where a disc explains the most pixels and outline still unexplained."""
+    min_inside, min_uncovered = 0.93, 0.7  # shares of a disc: in the region, and covered by no other disc
+    edge = 1.2  # px, from an outline that a disc explains
+    away = _make_disc(radius + edge)
+    core = (away < 0.42 * apart).astype(np.float32)
+    whole = (away < apart / 2).astype(np.float32)
+    ring = ((away > apart / 2 - 1) & (away < radius + 0.75)).astype(np.float32)
+    ring /= 2 * np.pi * radius
+    free = mask.astype(np.float32)
+    fits = cv2.filter2D(free, -1, core / core.sum(), borderType=cv2.BORDER_CONSTANT) >= min_inside
+    eroded = cv2.erode(mask.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    outline = (mask & ~eroded).astype(np.float32)
+    rows, columns = np.mgrid[: mask.shape[0], : mask.shape[1]]
+    centres = list[tuple[int, int]]()
+    while len(centres) <= MAX_DISCS:
+        uncovered = cv2.filter2D(free, -1, whole / whole.sum(), borderType=cv2.BORDER_CONSTANT)
+        support = cv2.filter2D(outline, -1, ring, borderType=cv2.BORDER_CONSTANT)
+        score = np.where(fits & (uncovered > min_uncovered), uncovered + support, 0.0)
+        _, best, _, (x, y) = cv2.minMaxLoc(score)
+        if best <= 0:
+            break
+        centres.append((x, y))
+        far = np.hypot(columns - x, rows - y)
+        free[far < apart / 2] = 0
+        outline[far < radius + edge] = 0
+        fits &= far > 0.85 * apart  # first centres are a pixel off
+    return np.array(centres, float).reshape(-1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pixels:
+    """The pixels of a region and around it."""
+
+    x: Array
+    y: Array
+    cover: Array  # share that discs cover
+
+
+@dataclass(frozen=True, eq=False)
+class _PackingFit:
+    """Result of the fit of all discs of a region."""
+
+    discs: Array  # (n, 3): x, y, radius, px
+    covariances: Array  # (n, 2, 2): px^2
+    overlap: float  # area that the discs and the region share, over the area that either has
+
+
+def _fit_discs(pixels: _Pixels, discs: Array, radius: float, apart: float) -> _PackingFit:
+    """Fit centres and radii by Gauss-Newton steps; radii are tied to the common one, and discs repel."""
+    largest_step, turns = 0.5, 12  # px
+    count, prior = len(discs), 1 / (RADIUS_SPREAD * radius) ** 2
+    tie = np.tile([0.0, 0.0, prior], count)
+    normal, variance, model = np.eye(3 * count), 1.0, pixels.cover
+    for _ in range(turns):
+        model, slopes = _render(pixels, discs)
+        off = pixels.cover - model
+        variance = max(float(np.mean(off**2)), 1e-4)
+        normal = slopes @ slopes.T / variance + np.diag(tie) + 1e-6 * np.eye(3 * count)
+        pull = slopes @ off / variance - tie * (discs - [0.0, 0.0, radius]).ravel()
+        stiffness, push = _repel(discs, apart)
+        normal, pull = normal + stiffness, pull + push
+        step = np.linalg.solve(normal, pull).reshape(-1, 3)
+        discs = discs + np.clip(step, -largest_step, largest_step)
+        discs[:, 2] = np.clip(discs[:, 2], 0.4 * apart, 1.1 * radius)  # none grows over gaps that do not show
+        if np.abs(step).max() < 0.01:
+            break
+    blocks = np.linalg.inv(normal).reshape(count, 3, count, 3)
+    covariances = np.array([blocks[k, :2, k, :2] for k in range(count)])
+    both, either = np.minimum(model, pixels.cover).sum(), np.maximum(model, pixels.cover).sum()
+    return _PackingFit(discs, covariances, float(both / either))
+
+
+def _render(pixels: _Pixels, discs: Array) -> tuple[Array, Array]:
+    """The share of each pixel that discs cover, and its derivatives (3 n, pixels) by x, y and radius of each disc."""
+    dx, dy = pixels.x - discs[:, :1], pixels.y - discs[:, 1:2]
+    far = np.maximum(np.hypot(dx, dy), 1e-6)
+    share = np.clip(0.5 + (discs[:, 2:] - far) / (2 * EDGE_WIDTH_PX), 0.0, 1.0)
+    steep = np.where((share > 0) & (share < 1), 1 / (2 * EDGE_WIDTH_PX), 0.0)
+    bare = 1 - share
+    before = np.cumprod(np.vstack([np.ones(len(pixels.x)), bare[:-1]]), axis=0)
+    after = np.cumprod(np.vstack([np.ones(len(pixels.x)), bare[:0:-1]]), axis=0)[::-1]
+    others = before * after * steep
+    slopes = np.stack([others * dx / far, others * dy / far, others], axis=1).reshape(-1, len(pixels.x))
+    return 1 - bare.prod(axis=0), slopes
+
+
+def _repel(discs: Array, apart: float) -> tuple[Array, Array]:
+    """Normal matrix (3 n, 3 n) and pull (3 n,) of pairs of discs that are nearer than they can be."""
+    stiffness, push = np.zeros((discs.size, discs.size)), np.zeros(discs.size)
+    weight = 1 / (0.01 * apart) ** 2  # discs are seen as near as that by errors of their outlines
+    off = discs[:, None, :2] - discs[None, :, :2]
+    away = np.hypot(*off.transpose(2, 0, 1))
+    for i, j in np.argwhere(np.triu(away < apart, 1)):
+        along = np.zeros(discs.size)
+        along[3 * i : 3 * i + 2] = off[i, j] / max(away[i, j], 1e-6)
+        along[3 * j : 3 * j + 2] = -along[3 * i : 3 * i + 2]
+        stiffness += weight * np.outer(along, along)
+        push += weight * (apart - away[i, j]) * along
+    return stiffness, push

@@ -1,0 +1,71 @@
+"""Balls on a plate of one colour: counted alone, in a rack, beside a rail and beside a hand; tracked from a rack."""
+
+import numpy as np
+import pytest
+from tracker_colours import GREEN, draw, hand
+from tracker_discs import CAMERA, R
+
+import tracker
+from tracker.camera.colour_planes import PLATE, read_plane
+from tracker.detection.balls_on_plate import count_balls_on_plate
+
+COLOURS = (
+    (235.0, 235.0, 225.0), (225.0, 170.0, 30.0), ((30.0, 50.0, 160.0), (230.0, 230.0, 215.0)), (30.0, 50.0, 160.0),
+    (190.0, 40.0, 60.0), (25.0, 25.0, 25.0),
+)  # fmt: skip
+FRAMES = 30
+
+
+def break_of_five(frames=FRAMES, hit=12):
+    """Places (6, frames, 2) of a striker and of a group of five that touch, two of which a hit drives away."""
+    time = np.arange(frames)
+    late = np.maximum(time - hit, 0)[:, None]
+    group = np.array([100.4, 80.3]) + 2 * R * np.array([[0, 0], [0.87, 0.5], [0.87, -0.5], [1.74, 0.0], [1.74, 1.0]])
+    ways = np.repeat(group[:, None], frames, axis=1)
+    ways[2] += late * [1.0, -2.2]
+    ways[4] += late * [1.6, 1.2]
+    striker = group[0] - [2 * R, 0] + np.minimum(time - hit, 0)[:, None] * [5.0, 0] - 0.6 * late * [1.0, 0.4]
+    return np.concatenate([striker[None], ways])
+
+
+def rail(k):
+    """A wooden rail along the lower side, which never moves."""
+    cover = np.zeros((160, 200))
+    cover[148:] = 1.0
+    return cover
+
+
+def read(pictures):
+    make = read_plane(PLATE, lambda: pictures[::3], 255.0)
+    return [make(picture) for picture in pictures[::2]]
+
+
+@pytest.mark.parametrize("people", [(), ((rail, (120.0, 70.0, 30.0)),)])
+def test_balls_of_a_rack_are_counted_in_each_picture(people):
+    found = count_balls_on_plate(read(draw(break_of_five(), COLOURS, shadow=False, people=people)), 2 * R)
+    assert set(found.counts) == {6}
+    assert found.are_all
+
+
+def test_balls_beside_a_hand_are_not_all():
+    pictures = draw(break_of_five(), COLOURS, people=((hand, (205.0, 155.0, 130.0)),))
+    assert not count_balls_on_plate(read(pictures), 2 * R).are_all
+
+
+def test_no_ball_counts_where_none_moves():
+    """What rests in all pictures counts for nothing."""
+    ways = np.repeat(break_of_five()[:, :1], 9, axis=1)
+    assert count_balls_on_plate(read(draw(ways, COLOURS, shadow=False)), 2 * R).total == 0
+
+
+def test_all_balls_of_a_rack_have_one_track_from_first_to_last_frame():
+    """Three of them never move, and one of these is black. Differences of two colours show none of the three."""
+    ways = break_of_five()
+    result = tracker.track(draw(ways, COLOURS, GREEN), CAMERA)
+    assert any(str(note).startswith("channel: plate, ") for note in result.notes)
+    assert result.tracks.groupby("particle").size().tolist() == [FRAMES] * 6
+    at = result.tracks[["x", "y"]].to_numpy()
+    away = np.hypot(*np.moveaxis(ways[:, result.tracks["frame"]] - at, -1, 0))
+    assert away.min(axis=0).max() < 1.5  # px
+    nearest = result.tracks.assign(ball=away.argmin(axis=0)).groupby("particle")["ball"].nunique()
+    assert (nearest == 1).all()
