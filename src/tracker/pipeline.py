@@ -70,8 +70,8 @@ def run(
 
     source: a dataset, clip, stack, video or folder of pictures.
     output: RESULTS.
-    detector: if None, the first clip decides, as it does on the channel of a source that has none. A clip in which its
-    detector fails may take another.
+    detector: if None, the first clip decides, as it does on the channel of a source that has none; if the first clip is
+    in grey, each clip in colour decides on its own channel. A clip in which its detector fails may take another.
     workers: processes, or 0 for one a core, if so many are quicker.
     progress: takes clips done and clips in all, or frames of a single clip.
     scheduler: address of a Dask scheduler, whose workers see the same folders.
@@ -123,15 +123,17 @@ def run(
 
 
 def _open_first_clip(films: RecordingSource) -> tuple[RecordingSource, Recording, list[Note]]:
-    """Open the first clip, which chooses the channel of a source that has none: the source with it, the clip, notes."""
-    first, why = films.open_clip(0), ""
-    if films.channel is None:
+    """Open the first clip: the source with the channel that it chooses, if it is in colour, the clip, and notes."""
+    first, why, channel = films.open_clip(0), "", films.channel
+    if channel is None:
+        in_colour = first.frames.colours is not None
         first, why = select_channel(first, None)
+        channel = first.channel if in_colour else None  # of a first clip in grey: each clip in colour chooses
     notes = make_notes(NoteKind.CHANNEL, [why])
     if films.camera is None and (films.path.is_file() or is_zarr(films.path)):
         texts = [f"camera: {file}; --camera takes another" for file in films.camera_files()]
         notes += make_notes(NoteKind.ASSUMED, texts)
-    return replace(films, channel=first.channel), first, notes
+    return replace(films, channel=channel), first, notes
 
 
 def _resolve_paths(films: RecordingSource) -> RecordingSource:
@@ -246,7 +248,7 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any], done: Sequence[int] | No
 def _plan(source: RecordingSource, detector: str | None, selected: SelectedDetector | None) -> dict[str, Any]:
     """The entries of run.json that distinguish one run from another, without paths or times."""
     name = detector or (selected.name if selected else DEFAULT)
-    colour = {} if source.channel == GREY else {"channel": source.channel}
+    colour = {} if source.channel in (None, GREY) else {"channel": source.channel}
     film = {"film": source.options.changed()} if source.options.changed() else {}
     own = {"detector_file": digest_detector(name)} if is_outside_detector(name) else {}
     run = {"made_by": "tracker track", "detector": detector_name(name), "clips": len(source)}
@@ -268,7 +270,9 @@ def _track_clip(
     if results.is_clip_done(partial, number):
         return 0, ()
     use_one_thread()
-    clip = opened or source.open_clip(index)
+    clip, why = opened or source.open_clip(index), ""
+    if source.channel is None:
+        clip, why = select_channel(clip, None)
     try:
         with nullcontext() if clip.progress is None else showing_steps("frames", clip.progress):
             result = track_and_measure(clip, name, settings, edits, selected)
@@ -277,7 +281,7 @@ def _track_clip(
             raise
         asked = " x ".join(map(str, clip.frames.shape))
         raise InputError(f"{path}: not enough memory for its {asked} pixels") from None
-    files, notes = dict[str, bytes](), result.notes
+    files, notes = dict[str, bytes](), (*make_notes(NoteKind.CHANNEL, [why], number), *result.notes)
     if is_refused_clip(result.found, result.rows):
         refusals = draw_refusals(clip, result.found, result.detected)
         files, notes = {REFUSALS: refusals.png}, (*notes, refusals.note)

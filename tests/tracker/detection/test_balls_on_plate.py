@@ -1,11 +1,16 @@
 """Balls on a plate of one colour: counted alone, in a rack, beside a rail and beside a hand; tracked from a rack."""
 
+import json
+
 import numpy as np
+import pandas as pd
 import pytest
+import tifffile
 from tracker_colours import GREEN, draw, hand
-from tracker_discs import CAMERA, R
+from tracker_discs import CAMERA, R, apart, film
 
 import tracker
+from tracker import pipeline
 from tracker.camera.colour_planes import PLATE, read_plane
 from tracker.detection.balls_on_plate import count_balls_on_plate
 
@@ -69,3 +74,22 @@ def test_all_balls_of_a_rack_have_one_track_from_first_to_last_frame():
     assert away.min(axis=0).max() < 1.5  # px
     nearest = result.tracks.assign(ball=away.argmin(axis=0)).groupby("particle")["ball"].nunique()
     assert (nearest == 1).all()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_each_clip_in_colour_chooses_its_plane_after_a_first_clip_in_grey(tmp_path):
+    ways = break_of_five()
+    clips = [film(np.random.default_rng(0), apart(FRAMES)), draw(ways, COLOURS, GREEN)]
+    for number, pictures in enumerate(clips):
+        folder = tmp_path / f"set/clips/{number:06d}"
+        folder.mkdir(parents=True)
+        tifffile.imwrite(folder / "frames.tif", pictures)
+        (folder / "camera.json").write_text(json.dumps(CAMERA))
+    outcome = pipeline.run(tmp_path / "set", tmp_path / "out", None, 1)
+    balls = [
+        pd.read_parquet(tmp_path / f"out/clips/{number:06d}/tracks.parquet")["particle"].nunique() for number in (0, 1)
+    ]
+    assert balls == [2, 6]
+    (said,) = (note for note in outcome.notes if "plate" in str(note))
+    assert said.clip == 1
+    assert "channel" not in json.loads((tmp_path / "out/run.json").read_text())
