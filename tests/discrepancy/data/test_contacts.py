@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tracker
-from benchmarks.search.crowd_laws import make_tray
+from benchmarks.search.crowd_laws import COULOMB, make_tray, search_film
 from discrepancy.data.contacts import Contacts, read_contacts
 from discrepancy.select.contact_effects import select_contact_laws
 
@@ -110,3 +110,15 @@ def test_one_film_of_thirty_balls_shows_the_one_that_is_heavier(share, seed):
         assert not recoil.rivals
     else:
         assert abs(recoil.mean.value) < 3 * recoil.mean.std < 0.018  # slides against the kick alone: 0.022
+
+
+@pytest.mark.gate
+@pytest.mark.parametrize(("kind", "seed"), [("falling", 210), ("coulomb", 34)])
+def test_one_film_of_36_balls_shows_whether_their_friction_falls(kind, seed):
+    """In the film with seed 210 a fast third ball disturbs a slow contact."""
+    found = search_film(kind, seed)
+    assert found["right"]
+    assert found["contacts"] > 40
+    if kind != "falling":
+        value, std = found["numbers"][0]
+        assert abs(value - COULOMB["mu"]) < 3 * std < 0.03
