@@ -27,6 +27,7 @@ from tracker.results import read_contact_table as read_all_contacts
 NAMES = ("v0", "b", "r", "s", "mass_ratio")  # what is read of the local estimate
 QUANTITIES = ("restitution", "friction", "recoil")
 SLIP_COLUMNS = ("slip_t", "slip_t_std", "slip_down", "slip_down_std", "slip")
+MAX_SHARED = 0.95  # of the error of a contact, what it shares with others
 NODES = 7  # of a quadrature over the error of each component of a slip
 
 
@@ -133,9 +134,16 @@ class Contacts:
         return share, [replace(self, slip_t=one, slip_down=other) for one in across for other in down]
 
     def split_errors(self, quantity: str) -> tuple[Array, Array]:
-        """The standard errors (n,) of each contact alone, and the effects (n, k) of errors that several share."""
-        effects = self.shared[:, [QUANTITIES.index(quantity)]]
-        return remove_shared(getattr(self, f"{quantity}_std"), effects), effects[:, 0]
+        """The standard errors (n,) of each contact alone, and the effects (n, k) of errors that several share.
+
+        Balances of a crowd may show errors that are smaller than the effect of the friction, which all share. An effect
+        is then limited, so that each contact keeps an error of its own.
+        """
+        std, effects = getattr(self, f"{quantity}_std"), self.shared[:, QUANTITIES.index(quantity)]
+        size = np.sqrt((effects**2).sum(axis=1))
+        most = np.where(self.of_crowd, MAX_SHARED * std, np.inf)
+        limited = effects * np.minimum(1.0, most / np.maximum(size, 1e-300))[:, None]
+        return remove_shared(std, limited[:, None]), limited
 
 
 def _is_usable(row: Mapping[Any, Any]) -> bool:

@@ -82,6 +82,15 @@ def test_shared_errors_follow_into_each_quantity():
         assert contacts.shared[0, k, 0] == pytest.approx(change, rel=0.03)
 
 
+def test_a_contact_keeps_an_error_of_its_own_where_what_it_shares_is_larger():
+    shared = {"friction": {"of": 0.2, "effect": {"r": 0.02}}}  # twice the error of r
+    row = ROW | {"local_shared": json.dumps(shared), "status": "crowd", "particle1": 3, "particle2": 8, "collision": 0}
+    contacts = Contacts.of([row, row])
+    own, effects = contacts.split_errors("restitution")
+    assert (own > 0.003).all()
+    assert own**2 + effects[:, 0] ** 2 == pytest.approx(contacts.restitution_std**2, rel=0.01)
+
+
 def test_the_error_of_the_friction_has_that_of_the_impact_parameter():
     exact = ROW | {"s_local_std": 1e-9, "r_local_std": 1e-9}
     one, other = Contacts.of([exact, exact | {"b_local": 0.61}]).friction
