@@ -30,10 +30,14 @@ class BallsOnPlate:
 
     @property
     def are_all(self) -> bool:
-        """True if balls cover nearly all that differs from the plate, and their number hardly changes."""
-        min_share, max_changes = 0.9, 0.1  # changes of the number, added up, over the total
+        """True if three or more balls cover nearly all that differs from the plate, and their number hardly changes."""
+        least, min_share, max_changes = 3, 0.9, 0.1  # changes of the number, added up, over the total
         changes = np.abs(np.diff(self.counts)).sum()
-        return self.total > 0 and self.share > min_share and float(changes) < max_changes * self.total
+        return (
+            self.total >= least * len(self.counts) > 0
+            and self.share > min_share
+            and float(changes) < max_changes * self.total
+        )
 
 
 def count_balls_on_plate(pictures: Sequence[NDArray[Any]], diameter: float | None) -> BallsOnPlate:

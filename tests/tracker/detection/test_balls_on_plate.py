@@ -57,6 +57,12 @@ def test_balls_beside_a_hand_are_not_all():
     assert not count_balls_on_plate(read(pictures), 2 * R).are_all
 
 
+def test_one_ball_alone_does_not_ask_for_the_plane():
+    found = count_balls_on_plate(read(draw(break_of_five()[:1], COLOURS[:1], shadow=False)), 2 * R)
+    assert set(found.counts) == {1}
+    assert not found.are_all
+
+
 def test_no_ball_counts_where_none_moves():
     """What rests in all pictures counts for nothing."""
     ways = np.repeat(break_of_five()[:, :1], 9, axis=1)

@@ -29,9 +29,10 @@ def estimate_least_distance(radius: float, diameter: float | None) -> float:
 def pack_region(region: ContrastRegion, cover: Floats, radius: float, apart: float) -> list[DiscFit]:
     """Fit touching discs to a region of a picture, as `fit_disc_packing`.
 
-    cover: (h, w) of the whole picture, the share of each pixel that discs cover. Pixels of the region count as covered
-    by more than half, and those further than a pixel from it as bare.
+    cover: (h, w) of the whole picture, the share of each pixel that discs cover. Pixels further than one from the
+    region count as bare. Dim ones in its holes count as covered by more than half: a ball may have dim parts.
     """
+    least = 0.12  # share of a dim pixel, above that of noise
     rows, columns = region.at
     top, left = max(rows.start - 2, 0), max(columns.start - 2, 0)
     at = slice(top, rows.stop + 2), slice(left, columns.stop + 2)
@@ -40,7 +41,8 @@ def pack_region(region: ContrastRegion, cover: Floats, radius: float, apart: flo
     inside = own[rows.start - top :, columns.start - left :][: mask.shape[0], : mask.shape[1]]
     inside[:] = mask
     near = cv2.dilate(own, np.ones((3, 3), np.uint8))
-    return fit_disc_packing(np.maximum(cover[at] * near, 0.6 * own), (left, top), radius, apart)
+    dim = cv2.blur(np.ascontiguousarray(cover[at], np.float32), (3, 3)) > least
+    return fit_disc_packing(np.maximum(cover[at] * near, 0.6 * (own & dim)), (left, top), radius, apart)
 
 
 def fit_disc_packing(cover: Floats, corner: tuple[int, int], radius: float, apart: float) -> list[DiscFit]:
@@ -58,7 +60,7 @@ def fit_disc_packing(cover: Floats, corner: tuple[int, int], radius: float, apar
     - where the convex hull of the region is nearer to it, as to a bar;
     - where two discs overlap.
     """
-    min_overlap = 0.9  # area that the union of discs and the region share, over the area that either has
+    of_few, of_many, many = 0.9, 0.87, 6  # least area that discs and region share, over that of either; number of discs
     reach = int(np.ceil(1.3 * radius)) + 2
     padded = np.pad(np.clip(cover, 0.0, 1.0), reach).astype(np.float32)
     centres = _find_first_centres(padded > 0.5, radius, apart)
@@ -67,6 +69,7 @@ def fit_disc_packing(cover: Floats, corner: tuple[int, int], radius: float, apar
     rows, columns = np.nonzero(cv2.dilate((padded > 0.1).view(np.uint8), np.ones((5, 5), np.uint8)))
     pixels = _Pixels(columns.astype(float), rows.astype(float), padded[rows, columns].astype(float))
     fit = _fit_discs(pixels, np.column_stack([centres, np.full(len(centres), radius)]), radius, apart)
+    min_overlap = of_few if len(centres) < many else of_many  # one of many may be as dim as the plate
     away = np.hypot(*(fit.discs[:, None, :2] - fit.discs[None, :, :2]).transpose(2, 0, 1))
     if (away + np.diag(np.full(len(away), np.inf))).min() < 0.83 * apart or fit.overlap < min_overlap:
         return []

@@ -82,3 +82,14 @@ def test_a_wide_bar_is_no_pack_of_discs():
     cover = np.zeros(SIZE)
     cover[10:140, 60:101] = 1.0
     assert fit_disc_packing(cover, (0, 0), 9.3, 16.2) == []
+
+
+def test_balls_of_many_that_hardly_show_do_not_hide_the_others():
+    """Most of two balls has the plate's colour; a stripe of each is left, which touches the others."""
+    centres = rack(4, 11.2)
+    dim, others = centres[[6, 9]], np.delete(centres, [6, 9], axis=0)  # two corners
+    stripe = np.abs(np.mgrid[: SIZE[0], : SIZE[1]][1] - dim[0, 0]) < 4
+    cover = np.maximum(cover_of(others, 11.2, 0.0), cover_of(dim, 11.2, 0.0) * stripe)
+    found = np.array([fit.position for fit in fit_disc_packing(cover, (0, 0), 11.2, 22.4)]).reshape(-1, 2)
+    away = np.hypot(*(others[:, None] - found).transpose(2, 0, 1)).min(axis=1, initial=99)
+    assert away.max() < 0.5
