@@ -131,7 +131,9 @@ def _fit_plate_line(pictures: Sequence[Colours], white: float) -> _PlateLine:
     Shadows and uneven light determine its direction. Where the plate has one brightness, the line goes through black.
     """
     through_black, least_std = 1e-3, 0.002 * white  # weight of black among the pixels; counts
-    pixels = np.concatenate([_smooth(picture)[::3, ::3].reshape(-1, 3) for picture in pictures]).astype(float)
+    most = 500_000  # pixels that are used
+    step = 1 + int(np.sqrt(sum(np.prod(picture.shape[:2]) for picture in pictures) / most))
+    pixels = np.concatenate([_smooth(picture)[::step, ::step].reshape(-1, 3) for picture in pictures]).astype(float)
     point = np.zeros(3)
     total = pixels.sum(axis=1)
     bright = total >= np.percentile(total, 20)

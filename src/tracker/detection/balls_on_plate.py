@@ -1,6 +1,6 @@
 """Counts the balls on a plate of one colour, alone or packed, in the plane of distances from that colour."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,7 +65,7 @@ def count_balls_on_plate(pictures: Sequence[NDArray[Any]], diameter: float | Non
     return BallsOnPlate(tuple(counts), covered / whole)
 
 
-def find_balls_at_rest(shares: Sequence[Floats], at_rest: Flags, radius: float, apart: float) -> Flags:
+def find_balls_at_rest(shares: Iterable[Floats], at_rest: Flags, radius: float, apart: float) -> Flags:
     """Find the balls among what rests in all pictures, with a rim of two pixels.
 
     They belong, in one of the pictures, to a group of discs of the usual radius that the plate surrounds and of which
@@ -74,8 +74,8 @@ def find_balls_at_rest(shares: Sequence[Floats], at_rest: Flags, radius: float, 
     """
     least, most = 0.02, 0.98  # share of a group that rests, where some of it does and some does not
     balls = np.zeros(at_rest.shape, np.uint8)
-    for share in shares if at_rest.any() else ():
-        for one in _find_moving_regions(share, at_rest):
+    for share in shares:
+        for one in _find_moving_regions(share, at_rest) if at_rest.any() else ():
             own = one.mask[1:-1, 1:-1] > 0
             rests = (at_rest[one.at] & own).sum() / own.sum()
             known = not (at_rest[one.at] & own & (balls[one.at] == 0)).any()

@@ -254,13 +254,15 @@ class Discs:
 
     def _clear_balls_at_rest(self, scene: int, sample: list[NDArray[Any]], tally: _Tally) -> StillBackground:
         """The background of a plane of distances from the plate, without the balls that rest all the time."""
-        ground, shares = self.scenes[scene], list[NDArray[np.float32]]()
+        ground = self.scenes[scene]
         floor = np.float32(np.median(ground.level))
         at_rest = ground.level - floor > 0.5 * self.contrast
-        for frame in sample:
+
+        def measure(frame: NDArray[Any]) -> NDArray[np.float32]:
             tally.note_surveyed()
-            shares.append((frame - floor) / np.float32(self.contrast))
-        balls = find_balls_at_rest(shares, at_rest, self.radius, self.apart)
+            return np.asarray((frame - floor) / np.float32(self.contrast), np.float32)
+
+        balls = find_balls_at_rest(map(measure, sample), at_rest, self.radius, self.apart)
         return StillBackground(np.where(balls, floor, ground.level), ground.error, ground.known | balls)
 
     def _packed(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[DiscFit]:
