@@ -107,7 +107,7 @@ def _choose_for_glints(sample: Sequence[Any], level: NDArray[Any], least: float)
     )
 
 
-def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
+def choose_channel(frames: Frames, camera: Camera, *, whole: bool = True) -> tuple[str, str]:
     """Choose the plane of a film in colour in which it shows its balls best, from 15 frames spread over it.
 
     A red ball on green cloth may be as grey as the cloth, and a moving shadow may hide a ball in grey. Each plane has a
@@ -117,6 +117,9 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     if it has 1.3 times as many bodies, less the changes of their number. Bodies that cover little of what changes, and
     whose number changes as that of independent events does, are noise. If the camera knows the diameter of its balls,
     only bodies of about that size count. The second result is a note with the reason; '' for grey that no plane rivals.
+
+    whole: whether the frames are the whole pictures. A part may show another plate than most of the picture, from which
+    the plane "plate" is made.
     """
     longest_side_px = 960  # of the pictures that are compared
     min_score = 3.0  # least bodies in the 15 frames that another channel than grey must show
@@ -143,7 +146,7 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
     least = max(more_bodies * found[best].bodies, min_score)
     more = [name for name in shares if name in found and found[name].bodies - found[name].changes >= least]
     best = max(more, key=lambda name: found[name].score, default=best)
-    plate = _count_on_plate(colours, white, 2 * expected if expected else None)
+    plate = _count_on_plate(colours, white, 2 * expected if expected else None) if whole else BallsOnPlate()
     if plate.are_all and plate.total >= more_bodies * max(rating.bodies for rating in found.values()):
         return PLATE, (
             f"channel: {PLATE}, because it shows {plate.total} balls, some of which touch or always rest, and {best} "
@@ -260,7 +263,10 @@ def select_channel(clip: Recording, name: str | None) -> tuple[Recording, str]:
     """Return the recording in the channel ``name``, or in the one that suits it, and a note why. Raises InputError."""
     if name is not None:
         return clip.select_channel(name), ""
-    best, why = choose_channel_by_examples(clip) if clip.balls else choose_channel(sample_frames(clip), clip.camera)
+    if clip.balls:
+        best, why = choose_channel_by_examples(clip)
+    else:
+        best, why = choose_channel(sample_frames(clip), clip.camera, whole=clip.area is None)
     return clip.select_channel(best), why
 
 

@@ -32,7 +32,7 @@ from tracker.detection.outlines.contrast_regions import (
 )
 from tracker.detection.outlines.disc_fit import DiscAppearance, DiscFit, DiscScene, fit_disc
 from tracker.detection.outlines.disc_group import fit_disc_group
-from tracker.detection.outlines.disc_packing import estimate_least_distance, pack_region
+from tracker.detection.outlines.disc_packing import ENLARGEMENT_PX, estimate_least_distance, pack_region
 from tracker.detection.outlines.hidden_disc import fit_outline_circle
 
 PLATE_SHIFT_SHARE = 0.25  # shift of a disc in the plane of distances from the plate, over how much it is enlarged
@@ -194,11 +194,15 @@ class Discs:
 
     def _measure_radius(self, radii: Array) -> OutlineRadius | None:
         """The radius of discs of the most common size; None of shaded balls, whose dark side does not show."""
+        enlargement_std_px = 0.5  # of a radius, in the plane of distances from the plate: by 0 to 2 px
         radii = radii[_are_equal(radii, self.radius)]
         if self.is_shaded or len(radii) < 10:
             return None
         spread = 1.4826 * float(np.median(np.abs(radii - np.median(radii))))  # of a normal distribution
-        return OutlineRadius(float(np.median(radii)), spread / float(np.sqrt(len(radii))))
+        radius, std = float(np.median(radii)), spread / float(np.sqrt(len(radii)))
+        if self.on_plate:
+            return OutlineRadius(radius - ENLARGEMENT_PX, float(np.hypot(std, enlargement_std_px)))
+        return OutlineRadius(radius, std)
 
     def _notes(self, refused: dict[int, int], found: int, tally: _Tally) -> Iterator[str]:
         """Notes on the frames that were searched: objects refused by frame, positions found, tally of all frames."""
@@ -255,6 +259,8 @@ class Discs:
     def _clear_balls_at_rest(self, scene: int, sample: list[NDArray[Any]], tally: _Tally) -> StillBackground:
         """The background of a plane of distances from the plate, without the balls that rest all the time."""
         ground = self.scenes[scene]
+        if not self.contrast:  # no disc
+            return ground
         floor = np.float32(np.median(ground.level))
         at_rest = ground.level - floor > 0.5 * self.contrast
 
@@ -420,7 +426,7 @@ class Discs:
         """Discs in one part, with their flags."""
         found: list[tuple[DiscFit, int]] = []
         balls, is_one = part.area / (np.pi * radius**2), self._is_disc(part, radius)
-        if self.on_plate and not (is_one and balls < 1.4):
+        if self.on_plate and self.contrast and not (is_one and balls < 1.4):
             packed = self._in_packing(seen, part, self.radius)
             if packed:
                 return packed

@@ -13,7 +13,9 @@ from tracker.detection.outlines.disc_fit import DiscFit
 
 Floats = NDArray[np.floating[Any]]
 MAX_DISCS = 24  # of one region
+MAX_RADIUS = 1.1  # of a disc, over the common one
 EDGE_WIDTH_PX = 1.0  # over which the edge of a disc fades; a plane that saturates has edges as steep as a pixel
+ENLARGEMENT_PX = 1.2  # of a radius: a plane that saturates shows a pixel that a ball covers by a tenth
 RADIUS_SPREAD = 0.1  # standard deviation of the radii, relative: a disc of more contrast looks larger
 
 
@@ -22,8 +24,7 @@ def estimate_least_distance(radius: float, diameter: float | None) -> float:
 
     radius: of discs in the plane, px. diameter: of the balls, px, where it is known.
     """
-    enlargement_px = 1.2  # of a radius: a plane that saturates shows a pixel that a ball covers by a tenth
-    return diameter if diameter is not None else max(2 * (radius - enlargement_px), 1.5 * radius)
+    return diameter if diameter is not None else max(2 * (radius - ENLARGEMENT_PX), 1.5 * radius)
 
 
 def pack_region(region: ContrastRegion, cover: Floats, radius: float, apart: float) -> list[DiscFit]:
@@ -63,6 +64,9 @@ def fit_disc_packing(cover: Floats, corner: tuple[int, int], radius: float, apar
     of_few, of_many, many = 0.9, 0.87, 6  # least area that discs and region share, over that of either; number of discs
     reach = int(np.ceil(1.3 * radius)) + 2
     padded = np.pad(np.clip(cover, 0.0, 1.0), reach).astype(np.float32)
+    largest = MAX_DISCS * np.pi * ((MAX_RADIUS * radius) ** 2 + EDGE_WIDTH_PX**2)  # area of all discs, px^2
+    if of_many * padded[padded > 0.5].sum() > largest:  # as of a person; the search would take seconds
+        return []
     centres = _find_first_centres(padded > 0.5, radius, apart)
     if len(centres) < 2 or len(centres) > MAX_DISCS:
         return []
@@ -160,7 +164,7 @@ def _fit_discs(pixels: _Pixels, discs: Array, radius: float, apart: float) -> _P
         normal, pull = normal + stiffness, pull + push
         step = np.linalg.solve(normal, pull).reshape(-1, 3)
         discs = discs + np.clip(step, -largest_step, largest_step)
-        discs[:, 2] = np.clip(discs[:, 2], 0.4 * apart, 1.1 * radius)  # none grows over gaps that do not show
+        discs[:, 2] = np.clip(discs[:, 2], 0.4 * apart, MAX_RADIUS * radius)  # none grows over gaps that do not show
         if np.abs(step).max() < 0.01:
             break
     blocks = np.linalg.inv(normal).reshape(count, 3, count, 3)

@@ -1,5 +1,7 @@
 """Many touching discs of one region: racks drawn by supersampling, and shapes that are no discs."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -93,3 +95,11 @@ def test_balls_of_many_that_hardly_show_do_not_hide_the_others():
     found = np.array([fit.position for fit in fit_disc_packing(cover, (0, 0), 11.2, 22.4)]).reshape(-1, 2)
     away = np.hypot(*(others[:, None] - found).transpose(2, 0, 1)).min(axis=1, initial=99)
     assert away.max() < 0.5
+
+
+def test_a_person_is_refused_at_once():
+    """The area of 500 discs of 8 px is too much for 24; the search for first centres would take seconds."""
+    y, x = np.mgrid[:800, :800]
+    began = time.process_time()
+    assert fit_disc_packing((np.hypot(x - 400, y - 400) < 180).astype(float), (0, 0), 8.0, 14.0) == []
+    assert time.process_time() - began < 0.5  # s
