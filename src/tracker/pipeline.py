@@ -282,7 +282,7 @@ def _track_clip(
         asked = " x ".join(map(str, clip.frames.shape))
         raise InputError(f"{path}: not enough memory for its {asked} pixels") from None
     files, notes = dict[str, bytes](), (*make_notes(NoteKind.CHANNEL, [why], number), *result.notes)
-    if is_refused_clip(result.found, result.rows):
+    if is_refused_clip(result.found, result.rows, in_pieces=result.in_pieces):
         refusals = draw_refusals(clip, result.found, result.detected)
         files, notes = {REFUSALS: refusals.png}, (*notes, refusals.note)
     elif drawn := _draw_misfit(result, len(source), clip.frames):

@@ -100,6 +100,8 @@ class Result:
         Its name; empty for tracks made elsewhere.
     detected : Glints
         What it found, also what belongs to no track; empty for tracks made elsewhere.
+    in_pieces : bool
+        Whether most tracks begin or end inside the picture, where no ball comes in or leaves.
 
     Examples
     --------
@@ -119,6 +121,7 @@ class Result:
     frames: int = 0
     detector: str = ""
     detected: Glints = field(default_factory=Glints.none)
+    in_pieces: bool = False
 
     @cached_property
     def tracks(self) -> pd.DataFrame:
@@ -474,6 +477,7 @@ def track_and_measure(
         frames=len(clip.frames),
         detector=used,
         detected=tracked.detected,
+        in_pieces=tracked.loose_ends.are_most,
     )
 
 

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 MISFITS = "misfit.png"  # beside the tracks of a clip
 UNFOLLOWED = "found, but its steps are those of no ball"
+DARKER = "darker than the ground"
+UNSHARP = "not followed: too few frames, or no sharp outline"
 REFUSALS = "refused.png"  # beside the tracks of a clip, and beside its page
 
 
@@ -40,10 +42,13 @@ class NotedPicture:
     note: Note
 
 
-def is_refused_clip(tracks: Tracks, rows: Sequence[Mapping[str, Any]]) -> bool:
-    """True if a clip gets a picture of refusals: no track, or no collision, unless only the scale is missing."""
-    states = [str(row["status"]) for row in rows]
-    return len(tracks) == 0 or not any(state in (*MEASURED, CROWD, NO_SCALE, ONE_BALL) for state in states)
+def is_refused_clip(tracks: Tracks, rows: Sequence[Mapping[str, Any]], *, in_pieces: bool = False) -> bool:
+    """True if a clip gets a picture of refusals: no track, or no collision, unless only the scale is missing.
+
+    in_pieces: most tracks begin or end inside the picture, so that a film without a collision has failed too.
+    """
+    enough = (*MEASURED, CROWD) if in_pieces else (*MEASURED, CROWD, NO_SCALE, ONE_BALL)
+    return len(tracks) == 0 or not any(str(row["status"]) in enough for row in rows)
 
 
 def draw_refusals(
@@ -58,11 +63,14 @@ def draw_refusals(
     least = max(8.0 * estimate_pixel_noise(sample), 8.0)
     level: Any = median_of_nine([picture.copy() for picture in sample])
     unfollowed = _list_unfollowed(tracks, detected)
-    shots = {}
+    shots, follows_dark = dict[int, list[tuple[PixelRegion, str]]](), False
     for k in picks:
         frame: Any = np.asarray(clip.frames[k])
         regions = find_regions(cv2.absdiff(frame, level) > least, min_area_px - 1)[:max_things]
         shots[k] = [(region, _explain(region, clip, tracks, unfollowed, k, frame, level)) for region in regions]
+        follows_dark |= any(not why and _is_darker(region, frame, level) for region, why in shots[k])
+    if follows_dark:
+        shots = {k: [(it, UNSHARP if why == DARKER else why) for it, why in shot] for k, shot in shots.items()}
     shown = max(picks, key=lambda k: (sum(bool(why) for _, why in shots[k]), len(shots[k])))
     number = int(clip.frames.numbers[shown])
     balls = tracks.xy[tracks.frame == number]
@@ -74,6 +82,8 @@ def draw_refusals(
         advice = f"--ball X,Y@{number} points at a ball that is missed, --region and --mask exclude what is none"
     else:
         advice = f"nothing in it differs from other frames by {least:.0f} counts; --ball X,Y@{number} points at a ball"
+    if clip.frames.colours is not None:
+        advice += "; --colour NAME reads the film in the plane of a colour"
     counts = f"{_count(len(balls), 'ball')} followed, {_count(len(refused), 'object')} refused{reasons}"
     text = f"{REFUSALS} shows frame {number}: {counts}; {advice}"
     return NotedPicture(
@@ -123,8 +133,12 @@ def _explain(
         return "not round"
     if (len(tracks) or clip.camera.knows_diameter) and not 0.75 < radius / usual < 1.25:
         return "too small" if radius < usual else "too large"
-    darker = np.subtract(frame[region.at], level[region.at], dtype=np.float32)[region.own].mean() < 0
-    return "darker than the ground" if darker else "not followed: too few frames, or no sharp outline"
+    return DARKER if _is_darker(region, frame, level) else UNSHARP
+
+
+def _is_darker(region: PixelRegion, frame: NDArray[Any], level: NDArray[Any]) -> bool:
+    """True if a region is darker than the ground in the mean."""
+    return bool(np.subtract(frame[region.at], level[region.at], dtype=np.float32)[region.own].mean() < 0)
 
 
 def _is_near(places: Array, point: tuple[float, float], reach: float) -> bool:

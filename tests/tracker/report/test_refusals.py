@@ -61,6 +61,26 @@ def test_what_was_found_and_not_followed_is_not_refused_for_its_shape():
     assert "0 balls followed, 1 object refused (1 found, but its steps are those of no ball)" in note
 
 
+@pytest.mark.parametrize("followed", [False, True])
+def test_darkness_is_no_reason_where_dark_bodies_are_followed(followed):
+    """Two dark discs, one of them followed in the first five frames only."""
+    film = clip(lambda k: disc((30 + 15 * k, 40), 9) + disc((30 + 15 * k, 120), 9), 20.0)
+    places = np.array([(30 + 15 * k, 40) for k in range(5)], dtype=float)
+    frames, one, some = np.arange(5), np.zeros(5, int), np.full(5, np.pi * 81)
+    cov, blank = np.tile(0.01 * np.eye(2), (5, 1, 1)), np.full(5, "")
+    tracks = Tracks(frames, one, *places.T, cov, some, blank, *places.T) if followed else NO_TRACKS
+    note = str(draw_refusals(film, tracks).note)
+    assert ("darker than the ground" in note) is not followed
+    assert ("no sharp outline" in note) is followed
+
+
+def test_the_colour_option_is_named_in_a_film_in_colour_alone():
+    film = clip(bar)
+    assert "--colour" not in str(draw_refusals(film, NO_TRACKS).note)
+    in_colour = wrap_frames(np.repeat(np.array([film.frames[k] for k in range(9)])[..., None], 3, axis=-1))
+    assert "--colour NAME" in str(draw_refusals(replace(film, frames=in_colour), NO_TRACKS).note)
+
+
 def test_a_film_in_which_nothing_differs_says_so():
     assert "nothing in it differs" in str(draw_refusals(clip(lambda k: np.zeros(SIZE)), NO_TRACKS).note)
 
@@ -74,4 +94,6 @@ def test_a_clip_without_a_measured_collision_fails(states, failed):
     one = Tracks(zero, zero, one, one, np.eye(2)[None], one, np.array([""]), one, one)
     assert is_refused_clip(one, [{"status": state} for state in states]) is failed
     assert is_refused_clip(NO_TRACKS, [{"status": "ok"}])
+    measured = any(state in ("ok", "misfit") for state in states)
+    assert is_refused_clip(one, [{"status": state} for state in states], in_pieces=True) is not measured
     assert REFUSALS.endswith(".png")
