@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar, TypeAlias
 
 import cv2
@@ -36,7 +37,6 @@ from tracker.detection.outlines.disc_packing import ENLARGEMENT_PX, estimate_lea
 from tracker.detection.outlines.hidden_disc import fit_outline_circle
 
 PLATE_SHIFT_SHARE = 0.25  # shift of a disc in the plane of distances from the plate, over how much it is enlarged
-EVERYWHERE = (slice(None), slice(None))
 ContrastArea: TypeAlias = tuple[PixelRegion, NDArray[np.float32]]  # a region, and its difference from the background
 MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest
 
@@ -74,6 +74,11 @@ class _SeenFrame:
     def difference(self, at: Index) -> NDArray[np.float32]:
         """How far a part of the frame differs from the background, counts."""
         return np.asarray(np.subtract(self.light[at], self.ground.level[at], dtype=np.float32))
+
+    @cached_property
+    def whole_difference(self) -> NDArray[np.float32]:
+        """How far each pixel of the frame differs from the background, counts."""
+        return self.difference((slice(None), slice(None)))
 
 
 class Discs:
@@ -271,20 +276,6 @@ class Discs:
         balls = find_balls_at_rest(map(measure, sample), at_rest, self.radius, self.apart)
         return StillBackground(np.where(balls, floor, ground.level), ground.error, ground.known | balls)
 
-    def _packed(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[DiscFit]:
-        """The discs of a region of a plane of distances from the plate, together; none if they do not explain it."""
-        return pack_region(part, seen.difference(EVERYWHERE) / self.contrast, radius, self.apart)
-
-    def _in_packing(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[tuple[DiscFit, int]]:
-        """The same, each fitted once more to its edge, where that succeeds, with flags."""
-        group, found = self._packed(seen, part, radius), list[DiscFit]()
-        for one in group:
-            others = [(float(x), float(y)) for x, y in (other.position for other in group if other is not one)]
-            fit = self._fit(seen, radius, one.position, np.zeros(2), others)
-            is_same = fit is not None and abs(fit.radius / one.radius - 1) < 0.15
-            found.append(fit if fit is not None and is_same else one)
-        return [(fit, int(PositionFlag.NEAR)) for fit in found]
-
     def _average_uncovered(self, sample: list[NDArray[Any]], ground: StillBackground, tally: _Tally) -> StillBackground:
         """The same, from objects found over a background that may be wrong where balls rest."""
         rim_px = 4  # around an object, which it may still affect
@@ -427,7 +418,7 @@ class Discs:
         found: list[tuple[DiscFit, int]] = []
         balls, is_one = part.area / (np.pi * radius**2), self._is_disc(part, radius)
         if self.on_plate and self.contrast and not (is_one and balls < 1.4):
-            packed = self._in_packing(seen, part, self.radius)
+            packed = self._packed_group(seen, part, self.radius)
             if packed:
                 return packed
         if is_one:
@@ -515,11 +506,18 @@ class Discs:
         return found
 
     def _smeared_group(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[tuple[DiscFit, int]]:
-        """Discs that touch, where an encoder has smeared their colours into each other.
+        """Find discs that touch, where an encoder has smeared their colours into each other, by their outline."""
+        group = fit_disc_group(part.mask, (part.left, part.top), radius, seen.light.shape)
+        return self._fit_edges(seen, group, radius)
 
-        A disc whose edge cannot be fitted keeps the position that the outline of the group gives.
-        """
-        group, found = fit_disc_group(part.mask, (part.left, part.top), radius, seen.light.shape), list[DiscFit]()
+    def _packed_group(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[tuple[DiscFit, int]]:
+        """Find discs that touch, in the plane of distances from the plate; none if discs do not explain the region."""
+        group = pack_region(part, seen.whole_difference / self.contrast, radius, self.apart)
+        return self._fit_edges(seen, group, radius)
+
+    def _fit_edges(self, seen: _SeenFrame, group: list[DiscFit], radius: float) -> list[tuple[DiscFit, int]]:
+        """Fit each disc of a group to its edge, with flags. A disc whose fit fails keeps its position in the group."""
+        found = list[DiscFit]()
         for one in group:
             others = [(float(x), float(y)) for x, y in (other.position for other in group if other is not one)]
             fit = self._fit(seen, radius, one.position, np.zeros(2), others)
