@@ -331,19 +331,18 @@ def evaluate_path(
         return path, slope
     if motion.stops and after:
         return _evaluate_stop(values, since, reach, path, slope)
-    v, at, k_instant, sign = values[..., None, 2:4, 0], 4, motion.size, 1.0 if after else -1.0
-    a = np.zeros(2)
+    v, k_instant, sign = values[..., None, 2:4, 0], motion.size, 1.0 if after else -1.0
     slope[..., 2, :, 0] = slope[..., 3, :, 1] = since
     slope[..., k_instant, :, :] = -v
     path += since[..., None] * v
     ahead = np.abs(since)
     late, curve = 0 * ahead, average_curve(ahead, reach)
     free = curve
-    tau, k_tau = 0.0 * values[..., 0, :], -1
+    tau = 0.0 * values[..., 0, :]
     if motion.pushed:
-        a, at = values[..., None, 4:6, 0], 6
+        a = values[..., None, 4:6, 0]
         if motion.ends:
-            tau, k_tau, at = np.exp(values[..., 6, :]), 6, 7
+            tau = np.exp(values[..., 6, :])
             _, late, far = Overrun.of(ahead - tau, reach)
         else:
             far = late
@@ -353,32 +352,55 @@ def evaluate_path(
         rate = ahead - late if after or not motion.ends else late
         slope[..., k_instant, :, :] -= (sign * rate)[..., None] * a
     if motion.rolls:
-        carries = motion.ends and after  # the push, which turns the direction in which the body rolls
-        along = v + a * tau[..., None] if carries else v
-        speed_along = np.maximum(np.hypot(along[..., :1], along[..., 1:]), 1e-12)
-        along = along / speed_along
-        loss = values[..., at, :]
-        kept = late if carries else ahead - late  # time of the roll
-        cube, kept_curve, late_of_loss = average_cube_of_roll(motion, after, ahead, tau, reach), free, late
-        if carries:
-            late_of_loss = late - fall * free
-        elif motion.ends:
-            kept_curve, late_of_loss = free - tau * late, late * (1 + fall * tau)
-        free, kept = free - sign * fall * cube, kept - sign * fall * kept_curve
-        slope[..., at, :, :] = -free[..., None] * along
-        path += loss[..., None] * slope[..., at, :, :]
-        slope[..., k_instant + 1, :, :] = (sign * loss * cube)[..., None] * along
-        turn = (np.eye(2) - along[..., 0, :, None] * along) / speed_along
-        turns = (loss * free)[..., None, :, None] * turn[..., :, None, :]
-        slope[..., 2:4, :, :] -= turns
-        if carries:
-            slope[..., 4:6, :, :] -= tau[..., None, None] * turns
-            slope[..., k_tau, :, :] -= (loss * tau * free)[..., None] * (a @ turn)
-        slope[..., k_instant, :, :] += (sign * loss * kept)[..., None] * along
-        if motion.ends:
-            late_push, late_loss = (sign * tau * late)[..., None], (sign * tau * loss * late_of_loss)[..., None]
-            slope[..., k_tau, :, :] += late_push * a + late_loss * along
+        _add_roll(_RollTimes(motion, after, ahead, reach, tau, late, free), values, fall, path, slope)
     return path, slope
+
+
+class _RollTimes(NamedTuple):
+    """When a body rolls, as `evaluate_path` finds it."""
+
+    motion: MotionKind
+    after: bool  # the contact
+    ahead: Array  # s, time to the contact, positive
+    reach: Array | None
+    tau: Array  # s, duration of the slide after the contact, or of the roll before it
+    late: Array  # s, by which `ahead` exceeds it
+    free: Array  # s^2, half the square of the time of the roll
+
+
+def _add_roll(times: _RollTimes, values: Array, fall: Array | float, path: Array, slope: Array) -> None:
+    """Add the loss of a roll to a path and its derivatives, and the derivative of the end of its slide.
+
+    values (..., size, 1): parameters of the stretch. path, slope: what `evaluate_path` returns, with all but the loss.
+    """
+    motion, after, ahead, reach, tau, late, free = times
+    v, a = values[..., None, 2:4, 0], values[..., None, 4:6, 0] if motion.pushed else np.zeros(2)
+    at, k_tau, k_instant, sign = motion.size - 1, 6, motion.size, 1.0 if after else -1.0
+    carries = motion.ends and after  # the push, which turns the direction in which the body rolls
+    along = v + a * tau[..., None] if carries else v
+    speed_along = np.maximum(np.hypot(along[..., :1], along[..., 1:]), 1e-12)
+    along = along / speed_along
+    loss = values[..., at, :]
+    kept = late if carries else ahead - late  # time of the roll
+    cube, kept_curve, late_of_loss = average_cube_of_roll(motion, after, ahead, tau, reach), free, late
+    if carries:
+        late_of_loss = late - fall * free
+    elif motion.ends:
+        kept_curve, late_of_loss = free - tau * late, late * (1 + fall * tau)
+    free, kept = free - sign * fall * cube, kept - sign * fall * kept_curve
+    slope[..., at, :, :] = -free[..., None] * along
+    path += loss[..., None] * slope[..., at, :, :]
+    slope[..., k_instant + 1, :, :] = (sign * loss * cube)[..., None] * along
+    turn = (np.eye(2) - along[..., 0, :, None] * along) / speed_along
+    turns = (loss * free)[..., None, :, None] * turn[..., :, None, :]
+    slope[..., 2:4, :, :] -= turns
+    if carries:
+        slope[..., 4:6, :, :] -= tau[..., None, None] * turns
+        slope[..., k_tau, :, :] -= (loss * tau * free)[..., None] * (a @ turn)
+    slope[..., k_instant, :, :] += (sign * loss * kept)[..., None] * along
+    if motion.ends:
+        late_push, late_loss = (sign * tau * late)[..., None], (sign * tau * loss * late_of_loss)[..., None]
+        slope[..., k_tau, :, :] += late_push * a + late_loss * along
 
 
 def _evaluate_stop(values: Array, since: Array, reach: Array | None, path: Array, slope: Array) -> tuple[Array, Array]:
