@@ -212,9 +212,10 @@ def _stay_together(contact: Contact, instant: float) -> bool:
 def _guess_fall_of_loss(priors: LocalPriors, stretches: Sequence[Stretch]) -> LocalPriors:
     """Guess how fast the loss of rolling balls falls.
 
-    A share of the loss is proportional to the speed, and then falls with the loss over the speed. Any share is as
-    likely as any other. With it, the loss, known by a factor, gives a mean of 0.5 and a standard deviation of 0.65 of
-    the loss over the speed. The speed is the mean of the stretches, or the least with which a ball rolls through one.
+    A part of the loss L is proportional to the speed v. If it is the share q of the loss, the loss falls at the rate
+    q L/v. All shares from 0 to 1 are equally likely, and the error of L is as large as L. So the rate has the mean
+    0.5 L/v and the standard deviation 0.65 L/v. v is the mean speed in the stretches, but at least that with which a
+    ball rolls through the longest of them.
     """
     spans, ways = (np.array(part) for part in zip(*((np.ptp(s.time), _find_way(s)) for s in stretches), strict=True))
     speed = max(float(np.mean(ways / spans)), priors.loss * float(spans.max()))

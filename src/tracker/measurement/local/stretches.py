@@ -319,8 +319,8 @@ def evaluate_path(
     reach (..., n): means over so much time to either side, as of a `Stretch`.
     fall (..., 1): how fast the loss of a roll falls with time, over the loss, 1/s. The loss is that at the contact, or
     at the end of the slide after it. To first order, dv/dt = -(D + C v) has this motion with a fall of C.
-    Returns positions (..., n, 2) and derivatives (..., size + 1 + motion.rolls, n, 2). After those by the parameters
-    come that by the instant of the contact and, of a body that rolls, that by the fall.
+    Returns positions (..., n, 2) and derivatives (..., size + 1 + motion.rolls, n, 2): by the parameters, by the
+    instant of the contact and, if the body rolls, by the fall.
     """
     values = values[..., None]  # to be multiplied by times
     path = np.empty((*np.broadcast_shapes(values.shape[:-2], since.shape[:-1]), since.shape[-1], 2))
