@@ -13,7 +13,7 @@ standard error. Each column of contacts.parquet has its mean and rms z, and the 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,9 @@ import tracker
 from benchmarks.harness import ROOT, keep, save
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
+from tracker.camera.camera import Camera
+from tracker.detection.glints import Glints
+from tracker.detection.link import assign_track_numbers
 from tracker.measurement.crowd.contact_table import summarise_contacts
 from tracker.measurement.local.recommendation import NONE
 
@@ -61,13 +64,30 @@ def measure_film(scene: str, number: int, *, rendered: bool = False) -> dict[str
     return counts | {"means": means, "rows": rows.to_dict("records")}
 
 
-def measure_true_positions(clip: Clip, seed: int) -> tracker.Result:
-    """Measure the true positions of a clip with noise."""
+def measure_true_positions(
+    clip: Clip, seed: int, known: Mapping[str, Any] | None = None, *, linked: bool = False
+) -> tracker.Result:
+    """Measure the true positions of a clip with noise.
+
+    known: keys that a user adds to the camera file. linked: the tracker's linker numbers the balls, not the simulation.
+    """
     rng = np.random.default_rng(seed)
-    true = clip.tracks
+    true, camera = clip.tracks, clip.camera_json | dict(known or {})
     x, y = (true[f"{axis}_mean_px"] + NOISE_PX * rng.standard_normal(len(true)) for axis in "xy")
     table = true[["frame", "particle"]].assign(x=x, y=y, x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0)
-    return tracker.measure(table[true.visible], clip.camera_json)
+    table = table[true.visible].reset_index(drop=True)
+    return tracker.measure(_link(table, camera) if linked else table, camera)
+
+
+def _link(table: pd.DataFrame, camera: dict[str, Any]) -> pd.DataFrame:
+    """The positions that the tracker's linker joins to tracks, with its numbers of the balls."""
+    table = table.sort_values(["frame", "x"]).reset_index(drop=True)
+    count, frame = len(table), table["frame"].to_numpy(np.int64)
+    cov = np.tile(NOISE_PX**2 * np.eye(2), (count, 1, 1))
+    of_glint = np.full(count, 1200.0), np.full(count, 8.0), np.zeros(count, np.int64)  # flux, background, flags
+    spots = Glints(frame, table["x"].to_numpy(), table["y"].to_numpy(), cov, *of_glint)
+    table["particle"] = assign_track_numbers(spots, Camera.from_dict(camera))
+    return table[table["particle"] >= 0]
 
 
 def name_balls(clip: Clip, result: tracker.Result) -> dict[int, int]:

@@ -100,7 +100,7 @@ def observe(clip: Clip, side: float, seed: int, *, on_air: bool) -> Film:
         area=(-reach, -reach, reach, reach),
     )
     balls = to_ball_tracks(tracks, camera)
-    return Film(gas, *_read_truth(clip), _extrapolate_pairs(balls, 2 * reach, camera.ball_diameter))
+    return Film(gas, *read_true_curves(clip), _extrapolate_pairs(balls, 2 * reach, camera.ball_diameter))
 
 
 def _extrapolate_pairs(balls: list[BallTrack], side: float, diameter: float) -> float:
@@ -123,29 +123,39 @@ def _list_true_contacts(clip: Clip, rng: np.random.Generator) -> pd.DataFrame:
     return pd.DataFrame({"t_s": time, "particle1": events["i"], "particle2": other} | unknown)
 
 
-def _read_truth(clip: Clip) -> tuple[pd.DataFrame, dict[str, float], Floats]:
-    """Curves, numbers and velocities of a clip by its simulation."""
+def read_true_curves(clip: Clip) -> tuple[pd.DataFrame, dict[str, float], Floats]:
+    """Curves, numbers and velocities of a clip by its simulation.
+
+    The curves are those of the balls in view in a frame. A ball loses energy while it is in view in the frames before
+    and after.
+    """
     motion, bodies = clip.solve(), clip.tracks["particle"].nunique()
     every = clip.tracks.sort_values(["particle", "frame"])
     velocities = every[["vx", "vy"]].to_numpy().reshape(bodies, clip.frames, 2)
+    seen = every["visible"].to_numpy(dtype=bool).reshape(bodies, clip.frames)
     time = every["t_s"].to_numpy()[: clip.frames]
-    energy = (velocities**2).sum(axis=(0, 2)) / 2
-    events = motion.events[motion.events["kind"].isin(["contact", "wall"]) & (motion.events["t_s"] < time[-1])]
+    events = motion.events[motion.events["kind"].isin(["contact", "wall"])]
+    events = events[events["t_s"].between(time[0], time[-1], inclusive="right")]
     at = events["t_s"].to_numpy()
-    lost = {}
     before, after = (
         motion.at(when)[["vx", "vy"]].to_numpy().reshape(bodies, len(at), 2) for when in (np.maximum(at - 1e-9, 0), at)
     )
-    step = ((before**2).sum(axis=2) - (after**2).sum(axis=2)) / 2
+    each = (velocities**2).sum(axis=2) / 2
+    stays = seen[:, 1:] & seen[:, :-1]
+    total = np.append(0.0, (-np.diff(each, axis=1) * stays).sum(axis=0).cumsum())
+    step, frame = ((before**2).sum(axis=2) - (after**2).sum(axis=2)) / 2, np.searchsorted(time, at)
     rows, one, wall = np.arange(len(at)), events["i"].to_numpy(), (events["kind"] == "wall").to_numpy()
-    taken = step[one, rows] + np.where(wall, 0.0, step[np.where(wall, 0, events["j"].to_numpy()), rows])
+    other = np.where(wall, one, events["j"].to_numpy())
+    step *= stays[:, frame - 1]
+    taken, lost = step[one, rows] + np.where(wall, 0.0, step[other, rows]), {}
     for name, kind in (("lost_at_walls", wall), ("lost_in_contacts", ~wall)):
-        own = kind & (at > time[0])
-        lost[name] = np.append(0.0, taken[own].cumsum())[np.searchsorted(at[own], time)]
-    curves = pd.DataFrame({"temperature": velocities.var(axis=0, ddof=1).mean(axis=1), "energy": energy} | lost)
-    curves["lost_to_plate"] = energy[0] - energy - curves["lost_in_contacts"] - curves["lost_at_walls"]
+        lost[name] = np.bincount(frame[kind], taken[kind], clip.frames).cumsum()
+    masked = np.ma.array(velocities, mask=np.repeat(~seen[..., None], 2, axis=2))
+    temperature = masked.var(axis=0, ddof=1).mean(axis=1).filled(np.nan)
+    curves = pd.DataFrame({"temperature": temperature, "energy": (each * seen).sum(axis=0)} | lost)
+    curves["lost_to_plate"] = total - curves["lost_in_contacts"] - curves["lost_at_walls"]
     way = np.hypot(velocities[..., 0], velocities[..., 1]).mean(axis=1).sum() * (time[-1] - time[0])
-    count = int((~wall & (at > time[0])).sum())
+    count = int((~wall).sum())
     return (
         curves,
         {"contacts": count, "contact_rate": 2 * count / bodies / (time[-1] - time[0]), "free_path": way / (2 * count)},

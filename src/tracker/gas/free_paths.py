@@ -59,6 +59,8 @@ class FreePath:
     # (n + 2,) m/s: how much too slow they may be because they are straight lines between contacts; all err this way
     smoothed: Array | None = None
     sides: tuple[SideOfContact, ...] = ()
+    rolls_from: float = -np.inf  # s, from which the ball surely rolls, if it is one that rolls
+    rolls_until: float = np.inf  # s, up to which positions are surely those before the next contact
 
     @property
     def unsure_in_all(self) -> Array:
@@ -99,9 +101,31 @@ def cut_free_paths(balls: Sequence[BallTrack], contacts: pd.DataFrame, cuts: Pat
                 path, positions = _fit_path(ball, rows, (start, end), at, breaks, cuts)
                 paths.append(path)
                 free.append(positions)
+    decel = USUAL_FRICTION
     if cuts.slides and "nx" in contacts:
-        paths = _continue_slides(paths, free, contacts, cuts.noise)
-    return _doubt_sides(paths, contacts)
+        paths, decel = _continue_slides(paths, free, contacts, cuts.noise)
+    return _limit_rolling(_doubt_sides(paths, contacts), contacts, cuts, decel)
+
+
+def _limit_rolling(paths: Sequence[FreePath], contacts: pd.DataFrame, cuts: PathCuts, decel: float) -> list[FreePath]:
+    """Paths with the instants between which the ball rolls; decel: of a ball that slides, m/s^2.
+
+    A contact adds at most about its kick to what is left of the slip of earlier ones. A ball that comes into view may
+    slip as fast as it moves. paths: those of a ball in the order of time.
+    """
+    margin = 1.3  # surfaces that drag one another make slips larger
+    out, slip, last = list[FreePath](), 0.0, None
+    for path in paths:
+        early, late = (float(cuts.margins_s[k]) if k >= 0 else 0.0 for k in (path.start, path.end))
+        if path.start >= 0 and "kick" in contacts and last is not None and last.ball == path.ball:
+            left = slip - 7 * decel / 2 * (path.start_time - last.start_time)
+            slip = max(left, 0.0) + float(contacts["kick"].iloc[path.start])
+        else:
+            slip = float(np.hypot(*(path.velocities.even[-1] + path.velocities.odd[-1]) / 2))
+        slides = margin * 2 * slip / (7 * decel) if cuts.slides else 0.0
+        last = replace(path, rolls_from=path.start_time + early + slides, rolls_until=path.end_time - late)
+        out.append(last)
+    return out
 
 
 def _fit_path(
@@ -202,8 +226,10 @@ def sum_sides(paths: Sequence[FreePath]) -> pd.DataFrame:
 
 def _continue_slides(
     paths: Sequence[FreePath], free: Sequence[tuple[Array, Array]], contacts: pd.DataFrame, noise: float
-) -> list[FreePath]:
+) -> tuple[list[FreePath], float]:
     """Correct the first velocities of paths by the friction that the film shows, if it shows it.
+
+    Also returns the deceleration of slides, m/s^2.
 
     A path with another kink near its start is fitted without its first rows. If that does not help, it is not usable.
     free: times and positions of each path that count in its velocities.
@@ -218,7 +244,7 @@ def _continue_slides(
         if starts is not None and friction is None:
             friction = measure_friction(starts, noise)
         if starts is None or friction is None:
-            return out
+            return out, USUAL_FRICTION
         found, later = fit_slides(starts, friction, noise), fit_slides(starts.skip(skipped), friction, noise)
         enough = np.count_nonzero(starts.used, axis=1) >= skipped + 4
         use_later = (found.chi2_per_dof > MAX_CHI2_PER_DOF) & enough & (later.chi2_per_dof < MAX_CHI2_PER_DOF)
@@ -226,7 +252,7 @@ def _continue_slides(
         fits = chosen, {k: n for n, k in enumerate(numbers)}
         for n, k in enumerate(numbers):
             out[k] = _correct_start(paths[k], chosen, n, friction, float(starts.time_std[n]), use_later[n])
-    return out
+    return out, USUAL_FRICTION if friction is None else friction.decel
 
 
 def _gather_starts(

@@ -20,6 +20,7 @@ from tracker.gas.contact_groups import count_hidden_rows
 from tracker.gas.energy import SINKS, measure_losses
 from tracker.gas.free_paths import FreePath, PathCuts, cut_free_paths, extrapolate_to_contact
 from tracker.gas.pair_correlation import pair_correlation
+from tracker.gas.rolling_loss import measure_rolling_loss
 from tracker.gas.temperature import (
     MIN_BALLS,
     measure_distribution,
@@ -112,12 +113,14 @@ def measure_gas(
     by_frame = np.split(positions[order], np.unique(frames[order], return_index=True)[1][1:])
     a2, a2_std = measure_sonine(table, time, noise)
     values = {"position_noise": noise, "noise_ratio": noise / claimed, "sonine_a2": a2, "sonine_a2_std": a2_std}
+    values |= measure_rolling_loss(balls, paths, noise)
     values |= _measure_rates(balls, contacts) | _predict_rates(time, sides, camera)
     # the relative errors of lengths and of the frame rate in whatever depends on them
     of_energy = 2 * np.hypot(camera.scale_error, camera.fps_error)
     energies = ("temperature", "energy", *SINKS.values())
     time = time.assign(**{f"{k}_std": np.hypot(time[f"{k}_std"], of_energy * time[k]) for k in energies})
-    errors = {"free_path": camera.scale_error, "contact_rate": camera.fps_error}
+    errors = {"free_path": camera.scale_error, "contact_rate": camera.fps_error, "rolling_drag": camera.fps_error}
+    errors["rolling_loss"] = float(np.hypot(camera.scale_error, 2 * camera.fps_error))
     values |= {f"{k}_std": float(np.hypot(values[f"{k}_std"], error * values[k])) for k, error in errors.items()}
     return GasObservables(
         time=time,

@@ -101,6 +101,9 @@ def _values_table(gas: GasObservables) -> PageTable:
         value, std = gas.values[name] * factor, gas.values[f"{name}_std"] * factor
         theory = {"sonine_a2": 0.0, "contact_rate": np.nan}.get(name, gas.values.get(f"{name}_theory", np.nan) * factor)
         rows.append([words, unit, format_with_error(value, std), format_number(theory)])
+    if np.isfinite(loss := gas.values["rolling_loss"]):
+        words = f"loss of rolling or gliding at {format_number(gas.values['rolling_speed'])} m/s"
+        rows.append([words, "m/s²", format_with_error(loss, gas.values["rolling_loss_std"]), format_number(np.nan)])
     noise = gas.values["position_noise"] * 1e6
     note = (
         f"Noise of a coordinate {format_number(noise)} µm, {format_number(gas.values['noise_ratio'])} of what the "
