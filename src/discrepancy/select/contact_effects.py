@@ -109,11 +109,15 @@ class ContactLaw:
         return self.trials == 0 or float(contacts.share[shows].sum()) > 1
 
     def has_sign(self, fit: _Fit, contacts: Contacts, sign: Array) -> bool:
-        """Decide whether it has a sign (n,). In a crowd, friction may fall to none in less than half the contacts."""
+        """Decide whether it has a sign (n,), and falls if it is a friction that falls.
+
+        In a crowd, such a friction may fall to none in less than half the contacts.
+        """
         positive = sign * (self.design(contacts) @ fit.coefficients) >= 0
-        if self.contains is not None and contacts.of_crowd.all():
-            return bool(fit.coefficients[-1] > 0 and positive.mean() > 0.5)
-        return bool(positive.all())
+        if self.contains is None:
+            return bool(positive.all())
+        enough = positive.mean() > 0.5 if contacts.of_crowd.all() else positive.all()
+        return bool(enough and fit.coefficients[-1] > 0)
 
     @property
     def price(self) -> float:

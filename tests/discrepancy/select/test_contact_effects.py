@@ -91,6 +91,13 @@ def test_laws_that_fit_as_well_are_named_together():
     assert claim.rivals
 
 
+def test_friction_that_grows_with_the_slip_speed_does_not_fall():
+    """Fast strikers that slide rub more in the plane, since their surfaces move down less than those that roll."""
+    claim = law_of(draw(friction=lambda c: (0.3 + 0.15 * np.log(c.speed)) * c.speed_t / c.speed), "friction")
+    assert claim.law == "Coulomb friction"
+    assert "falling ball_friction" not in claim.causes
+
+
 def test_nothing_is_named_where_nothing_is_hidden():
     named = [claim.causes for seed in range(40) for claim in select_contact_laws(draw(seed=seed)) if claim.causes]
     assert len(named) <= 4  # of 120 claims; each has two or three laws to try at 3 sigma
