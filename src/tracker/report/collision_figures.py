@@ -44,10 +44,11 @@ class CollisionView:
 
     @property
     def parameters(self) -> Array:
-        """Parameters of the tied fit, (16,)."""
+        """Parameters of the tied fit, (16,); NaN among them if it has no such values."""
         r = self.row
         launch = [r["t_c"], r["x1"], r["y1"], r["heading"], np.arcsin(r["b"]), r["v0"], r["drag"], r["decel"]]
-        return np.array([*launch, r["r"], np.log(r["mu_k"]), r["C"], *(r[k] for k in BEFORE)], dtype=np.float64)
+        log_mu_k = np.log(r["mu_k"]) if r["mu_k"] > 0 else np.nan  # an average over fits of a misfit may be negative
+        return np.array([*launch, r["r"], log_mu_k, r["C"], *(r[k] for k in BEFORE)], dtype=np.float64)
 
     @property
     def is_instantaneous(self) -> bool:

@@ -57,6 +57,7 @@ SIMPLE_AFTER = {  # motions of a body after a contact by its support, by which t
     "air": (SLIDE,),
     "sliding": (SLIDE_AND_STOP,),
 }
+UNSEEN_ON_AIR = ("mu_k", "C", "w1n", "w1t", "w2n", "w2t", "tau1", "tau2")  # where bodies glide
 LOCAL_NAMES = (*QUANTITY_NAMES, *VELOCITIES, "impact_energy", *BALANCE, "mass_ratio")
 
 
@@ -415,7 +416,7 @@ def _list_unseen(solution: LocalSolution) -> list[str]:
     problem, out = solution.problem, ["drag", "decel"]
     after_slides = ("energy_fraction", "momentum_fraction", "final_angle")
     if problem.glide:
-        return [*out, "mu_k", "C", "w1n", "w1t", "w2n", "w2t", "tau1", "tau2"]
+        return [*out, *UNSEEN_ON_AIR]
     for k, (stretch, motion) in enumerate(zip(problem.stretches, problem.motions, strict=True)):
         if stretch.after and motion.ends:
             ball = stretch.ball

@@ -328,3 +328,30 @@ def test_bodies_whose_names_mean_nothing_get_no_ratio():
         raw["value"][AT["balance_n"]] -= (1 if k % 4 < 2 else -1) * 0.2 * 0.9 * raw["v0"]
         row |= {"particle1": 7 if k % 2 else 9, "particle2": 9 if k % 2 else 7, "local": json.dumps(raw)}
     assert calibrate_rows(rows).log_ratio_std == 0
+
+
+def as_motions(rows, glide):
+    """The rows with a friction each; the first `glide` of them glide, the others slide and roll."""
+    names = ["glide"] * glide + ["slide and roll"] * (len(rows) - glide)
+    return [
+        make_empty_columns() | row | {"motion_local": name, "mu_k_local": 0.1, "mu_k_local_std": 0.01}
+        for row, name in zip(rows, names, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("hits", [6, 20])
+def test_no_hit_of_bodies_that_glide_has_a_friction(hits):
+    rows = as_motions(draw_rows(hits, 0.003, 0.003, 0.0), hits // 2)
+    for before, after in zip(rows, calibrate_set(rows), strict=True):
+        assert np.isnan(after["mu_k_local"])
+        assert np.isnan(after["mu_k_local_std"])
+        assert np.isfinite(after["r_local"])
+        assert after["motion_local"] == before["motion_local"]
+    assert json.dumps(calibrate_set(calibrate_set(rows))) == json.dumps(calibrate_set(rows))
+
+
+@pytest.mark.parametrize("glide", [0, 2, 5])
+def test_few_disturbed_hits_of_balls_that_roll_leave_the_friction_of_the_others(glide):
+    raw = [json.loads(row["local"]) for row in draw_rows(20, 0.003, 0.003, 0.0)]
+    rows = as_motions([{"local": json.dumps(one | {"unseen": []})} for one in raw], glide)
+    assert all("mu_k" not in json.loads(row["local"])["unseen"] for row in calibrate_set(rows))
