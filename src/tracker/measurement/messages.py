@@ -8,8 +8,7 @@ from collections import Counter
 import numpy as np
 import pandas as pd
 
-from tracker.measurement.collision.adequacy import MEASURED, MISFIT, Flag
-from tracker.measurement.local.local_columns import find_gliding_hits
+from tracker.measurement.collision.adequacy import MEASURED, MISFIT, Flag, find_gliding_hits
 from tracker.notes import Note, NoteKind
 
 _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
@@ -121,8 +120,8 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
     gliding = len(find_gliding_hits(used.to_dict("records")))  # type: ignore[arg-type]  # columns are text
     if gliding < len(used) and gliding:
         texts.append(
-            f"bodies glide, as on air, in {gliding} of {_count(len(used))}. The others alone might slide and roll, but"
-            " no friction of theirs is given. If support: air is right, write it into the camera file, and measure again"
+            f"bodies glide, as on air, in {gliding} of {_count(len(used))}. The others might slide and roll, but none"
+            " has a friction. If support: air is right, write it into the camera file, and measure again"
         )
     ratio, std = (used[name].to_numpy(float) for name in ("mass_ratio", "mass_ratio_std"))
     known = used["local"].str.contains('"masses_known":true').to_numpy(bool)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -16,6 +16,7 @@ from tracker.settings import FitSettings
 MISFIT = "misfit"
 TOGETHER = "stay_together"
 CROWD = "crowd"
+GLIDE = "glide"  # in the column motion_local
 HIDDEN_SLIDE = (
     "the contact lasts as long as the balls may slide: it hides how they part; check the unit of positions, scale, fps"
 )
@@ -142,3 +143,17 @@ def flag_contact_distance(distance: float, std: float, settings: FitSettings) ->
 def describe_failure(error: Exception) -> str:
     """Describe, as the status of a collision, that the arithmetic of its fit failed, and how."""
     return f"the fit failed: {(str(error).splitlines() or [type(error).__name__])[0][:80]}"
+
+
+def find_gliding_hits(
+    rows: Sequence[Mapping[str, Any]], *, min_hits: int = 3, min_share: float = 0.25
+) -> list[Mapping[str, Any]]:
+    """Find the hits of a set that only bodies that glide describe; none if these are too few to decide for all.
+
+    A hit alone takes a short curved path for a slide. Bodies that roll fit the motions of gliding ones as well, but
+    are taken for these only where something else disturbs them: in 6 of 82 real hits of billiard balls, beside 25 of 56
+    of pucks and 8 of 15 of discs on air, by which `min_share` was chosen.
+    """
+    single = [row for row in rows if row.get("motion_local") and row.get("status") != CROWD]
+    gliding = [row for row in single if row["motion_local"] == GLIDE]
+    return gliding if len(gliding) >= min_hits and len(gliding) > min_share * len(single) else []

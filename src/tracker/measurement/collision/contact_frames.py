@@ -50,9 +50,13 @@ def _fit_outside(pair: BallPair, window: tuple[int, int], last: LastingFit | Non
         return free
     start = guess_straight_motion(free, pair) if free is not None else starts[0]
     straight = LastingFit.to(pair, "straight", [start], tolerance=ROUGH_TOLERANCE)
+    describes = compute_p_value(straight.chi2, straight.dof, dof) >= level
     if free is None:
-        free = LastingFit.to(pair, "free", guess_free_motions(pair, *window), tolerance=ROUGH_TOLERANCE)
-    if compute_p_value(straight.chi2, straight.dof, dof) < level:
+        starts = guess_free_motions(pair, *window)
+        if not starts:  # without the frames of this window the lines after the contact do not lead back to it
+            return straight if describes else None
+        free = LastingFit.to(pair, "free", starts, tolerance=ROUGH_TOLERANCE)
+    if not describes:
         return free
     return straight if straight.chi2 < free.chi2 + STRAIGHT_CHI2 else free
 

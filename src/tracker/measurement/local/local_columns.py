@@ -22,14 +22,13 @@ import numpy as np
 from scipy.optimize import minimize
 
 from synthcam_shared.arrays import Array
-from tracker.measurement.collision.adequacy import CROWD
+from tracker.measurement.collision.adequacy import CROWD, GLIDE, find_gliding_hits
 from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES, UNSEEN_ON_AIR, VELOCITIES, LocalEstimate
 from tracker.measurement.local.recommendation import COMPARED, is_known, recommend
 from tracker.settings import FitSettings
 
 PRIOR_WIDTH = 1.0  # of the logarithm of the errors of a set, about those of its recordings alone
 USUAL_EXCESS = 2.0  # of what a set adds to the errors of residuals, over them; real sets show 0.8 to 2.8
-GLIDE = "glide"  # in the column motion_local
 COMMON_SHARE = 0.1  # of the errors of velocities, what all contacts of a crowd share; a bent map makes less
 # Largest standard errors with which quantities are reported; others have max_relative_error of their value.
 _LARGEST_ERRORS = {"b": 0.05, "s": 0.3, "r": 0.2, "C": 0.1, "final_angle": 0.1, "impact_energy": 0.1}
@@ -487,20 +486,6 @@ def calibrate_set(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         return [dict(row) for row in rows]
     changed = (dict(row) | apply_errors(row, errors) for row in rows)
     return [row | recommend(row) if row.get("local", "{}") != "{}" else row for row in changed]
-
-
-def find_gliding_hits(
-    rows: Sequence[Mapping[str, Any]], *, min_hits: int = 3, min_share: float = 0.25
-) -> list[Mapping[str, Any]]:
-    """Find the hits of a set that only bodies that glide describe; none if these are too few to decide for all.
-
-    A hit alone takes a short curved path for a slide. Bodies that roll fit the motions of gliding ones as well, but
-    are taken for these only where something else disturbs them: in 6 of 82 real hits of billiard balls, beside 25 of 56
-    of pucks and 8 of 15 of discs on air, by which `min_share` was chosen.
-    """
-    single = [row for row in rows if row.get("motion_local") and row.get("status") != CROWD]
-    gliding = [row for row in single if row["motion_local"] == GLIDE]
-    return gliding if len(gliding) >= min_hits and len(gliding) > min_share * len(single) else []
 
 
 def withhold_friction(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

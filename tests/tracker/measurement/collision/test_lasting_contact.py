@@ -7,8 +7,10 @@ import pytest
 from tracker_contacts import LAWS, SoftHit, draw_hit
 
 import tracker
+from tracker.measurement.collision import contact_frames
 from tracker.measurement.collision.collision_model import FREE
-from tracker.measurement.collision.contacts import find_contacts
+from tracker.measurement.collision.contact_frames import find_frames_in_contact, leave_out_frames
+from tracker.measurement.collision.contacts import find_contacts, prepare_contact
 from tracker.measurement.collision.lasting_contact import fit_lasting_contact
 from tracker.measurement.collision.lasting_motion import LastingResiduals
 from tracker.measurement.messages import list_messages
@@ -184,15 +186,21 @@ def test_errors_by_the_law_of_the_force_are_as_large_as_its_spread(r, friction, 
     assert np.std(offs, axis=(0, 1)).min() > 0.5
 
 
-@pytest.mark.parametrize("kind", ["free", "tied", "straight"])
-def test_derivatives_are_those_of_the_residuals(kind):
-    hit = SoftHit(0.014, b=0.2, friction=0.2)
+def list_balls(hit):
+    """The tracks of both balls of a hit, with the errors that they have."""
     table = hit.tracks(np.random.default_rng(1))
     balls = []
     for particle, part in table.groupby("particle"):
         cov = np.tile(np.eye(2) * hit.noise**2, (len(part), 1, 1))
         frame, position = part.frame.to_numpy(), part[["x", "y"]].to_numpy()
         balls.append(BallTrack(particle, frame, frame / hit.fps, position, cov, 1e-3))
+    return balls
+
+
+@pytest.mark.parametrize("kind", ["free", "tied", "straight"])
+def test_derivatives_are_those_of_the_residuals(kind):
+    hit = SoftHit(0.014, b=0.2, friction=0.2)
+    balls = list_balls(hit)
     (candidate,) = find_contacts(balls, hit.diameter)
     fits = fit_lasting_contact(candidate, hit.diameter, {}, FitSettings())
     problem = LastingResiduals(fits.pair, kind)
@@ -244,3 +252,15 @@ def test_a_contact_whose_first_fits_end_in_a_false_friction_is_fitted_again():
     assert row["status"] == "ok"
     assert abs(z(row, "mu_k", hit.friction)) < 3
     assert abs(z(row, "contact_duration_s", hit.time_within)) < 3
+
+
+def test_straight_paths_hold_where_no_sliding_ones_lead_back_to_the_contact(monkeypatch):
+    """So it is in a graze, once the frames beside the contact are left out."""
+    hit = SoftHit(0.014, b=0.2)
+    (candidate,) = find_contacts(list_balls(hit), hit.diameter)
+    pair = prepare_contact(candidate, hit.diameter, {}, FitSettings()).pair
+    straight, window = find_frames_in_contact(pair, (candidate.frame, candidate.frame))
+    assert straight.problem.kind == "straight"
+    monkeypatch.setattr(contact_frames, "guess_free_motions", lambda *_: [])
+    again = contact_frames._fit_outside(leave_out_frames(pair, *window), window, straight)
+    assert again.problem.kind == "straight"
