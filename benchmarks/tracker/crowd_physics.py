@@ -31,7 +31,7 @@ from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
 from tracker.measurement.crowd.contact_table import summarise_contacts
 
-FRAMES = {"crowd": 200, "cooling": 60, "break": 120, "pucks": 100, "dense": 12}  # of each film, by scene
+FRAMES = {"crowd": 200, "cooling": 40, "break": 120, "pucks": 100, "dense": 6}  # of each film, by scene
 KNOWN = {"pucks": {"body": "disc", "support": "air"}}  # keys that a user adds to the camera file, by scene
 SINKS = ("lost_in_contacts", "lost_at_walls", "lost_to_plate")
 QUANTITIES = ("r", "mu_k", "rolling_loss", "rolling_drag", *SINKS, "temperature")

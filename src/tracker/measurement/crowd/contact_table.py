@@ -81,15 +81,15 @@ def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:
     if not np.isfinite([value[:3], std[:3]]).all():
         return out
     cov = find_covariance(row) if suffix == SUFFIXES[LOCAL] else np.diag(std[:4] ** 2)
-    has_s = bool(np.isfinite([value[3], std[3]]).all())
-    if not has_s and suffix == SUFFIXES[LOCAL] and abs(value[1]) > 3 * std[1]:
+    has_friction = bool(np.isfinite([value[3], std[3]]).all())
+    if not has_friction and suffix == SUFFIXES[LOCAL]:
         value[3] = json.loads(row["local"])["value"][LOCAL_NAMES.index("s")]  # too uncertain for a column of its own
-        has_s = bool(np.isfinite(value[3]))
-    if not has_s:  # almost head-on: both balls keep the tangential speed, or stick
+        has_friction = bool(np.isfinite(value[3]) and abs(value[1]) > 3 * std[1])
+    if not np.isfinite(value[3]):  # almost head-on: both balls keep the tangential speed, or stick
         cov[3] = cov[:, 3] = 0.0
         value[3], cov[3, 3] = 5 / 7, 0.3**2
     derived = dict(zip(DERIVED, zip(*derive_with_errors(value[:4], cov), strict=True), strict=True))
-    if not has_s:
+    if not has_friction:
         del derived["mu_bb"]
     return out | {f"{n}{end}": v for n, pair in derived.items() for end, v in zip(("", "_std"), pair, strict=True)}
 
@@ -97,23 +97,31 @@ def _measure(row: Mapping[str, Any] | None) -> dict[str, Any]:
 def derive_with_errors(value: Array, cov: Array) -> tuple[list[float], list[float]]:
     """Compute the DERIVED columns of the table of contacts and their errors, by values one standard error away.
 
-    The mean of a quantity that bends, such as 1 - r^2, is corrected for the spread of r.
+    The mean of a quantity that bends, such as 1 - r^2, is corrected for the spread of r. The steps are those of the
+    tangential speed afterwards, not of s, which is that speed over b. Balls that meet head-on have a speed, also of
+    their spins, but no s.
+
+    value, cov: of v0, b, r and s.
     """
-    variances, axes = np.linalg.eigh(cov)
+    _, b, _, s = value
+    to_speeds = np.eye(4)
+    to_speeds[3] = 0.0, s, 0.0, b
+    variances, axes = np.linalg.eigh(to_speeds @ cov @ to_speeds.T)
     away = (axes * np.sqrt(np.maximum(variances, 0))).T
-    middle = _derive(value)
-    high, low = (np.array([_derive(value + sign * step) for step in away]) for sign in (1, -1))
+    at = np.append(value[:3], s * b)
+    middle = _derive(at)
+    high, low = (np.array([_derive(at + sign * step) for step in away]) for sign in (1, -1))
     slope, bend = (high - low) / 2, high + low - 2 * middle
     corrected, std = middle - bend.sum(axis=0) / 2, np.sqrt((slope**2 + bend**2 / 2).sum(axis=0))
     return np.where(SIGNED, np.abs(corrected), corrected).tolist(), std.tolist()
 
 
 def _derive(values: Array) -> Array:
-    """DERIVED from v0, b, r and s; v_t and mu_bb with the sign of b."""
-    v0, b, r, s = values
-    along, across = v0 * np.sqrt(max(1 - b * b, 1e-12)), v0 * b
-    friction = (1 - s) * across / ((1 + r) * along)
-    lost = ((1 - r * r) * along**2 + (1 - s * s) * across**2) / 4
+    """DERIVED from v0, b, r and the tangential speed afterwards over v0; v_t and mu_bb with the sign of b."""
+    v0, b, r, left = values
+    along, across, after = v0 * np.sqrt(max(1 - b * b, 1e-12)), v0 * b, v0 * left
+    friction = (across - after) / ((1 + r) * along)
+    lost = ((1 - r * r) * along**2 + across**2 - after**2) / 4
     return np.array([along, across, friction, (1 + r) * along / 2, v0**2 / 4, lost])
 
 

@@ -389,6 +389,24 @@ def test_errors_of_derived_values_are_those_of_draws():
     assert found["v_t"][0] == pytest.approx(0.06, rel=0.01)
 
 
+@pytest.mark.parametrize("b", [0.3, 0.02, 0.001])
+def test_spins_that_drive_balls_apart_count_in_the_energy_also_head_on(b):
+    """The tangential speed afterwards is that of the spins: s is 1 to 300, and its error as large."""
+    v0, r, after = 0.06, 0.9, 0.018
+    value, std = np.array([v0, b, r, after]), np.array([4e-4, 0.01, 0.01, 4e-4])
+    by_s = np.eye(4)
+    s = after / (v0 * b)
+    by_s[3] = -s / v0, -s / b, 0.0, s / after
+    found = derive_with_errors(np.append(value[:3], s), by_s @ np.diag(std**2) @ by_s.T)
+    draws = np.random.default_rng(1).normal(value, std, (4000, 4))
+    lost = ((1 - draws[:, 2] ** 2) * draws[:, 0] ** 2 * (1 - draws[:, 1] ** 2) + (draws[:, 0] * draws[:, 1]) ** 2) / 4
+    lost -= draws[:, 3] ** 2 / 4
+    energy, error = (each[DERIVED.index("energy_lost")] for each in found)
+    true = ((1 - r**2) * v0**2 * (1 - b**2) + (v0 * b) ** 2 - after**2) / 4
+    assert abs(energy - true) < 0.1 * error
+    assert error == pytest.approx(lost.std(), rel=0.05)
+
+
 def test_contacts_are_the_same_however_few_are_fitted_at_once(monkeypatch):
     """All at once, a long film of a crowd would need gigabytes."""
     clip, numbers = synthcam.Scene.read("tray", timing={"frames": 30}).draw(seed=1), []
