@@ -123,6 +123,20 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
             f"bodies glide, as on air, in {gliding} of {_count(len(used))}. The others might slide and roll, but none"
             " has a friction. If support: air is right, write it into the camera file, and measure again"
         )
+    texts += _describe_masses(used, hits)
+    return [Note(NoteKind.FLAG, text) for text in texts]
+
+
+def _name_frames(rows: pd.DataFrame) -> str:
+    if len(rows) != 1:
+        return "the frames in contact"
+    first, last = (int(rows[column].iloc[0]) for column in ("contact_first", "contact_last"))
+    return f"frames {first} to {last}" if last > first else f"frame {first}"
+
+
+def _describe_masses(used: pd.DataFrame, hits: int) -> list[str]:
+    """Say what recoil says about the masses; hits: by which the errors of the estimates were fitted, or 0."""
+    texts = list[str]()
     ratio, std = (used[name].to_numpy(float) for name in ("mass_ratio", "mass_ratio_std"))
     known = used["local"].str.contains('"masses_known":true').to_numpy(bool)
     clipped = np.clip(ratio, 0.01, 100)
@@ -135,6 +149,16 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
             f"masses: recoil contradicts equal masses in {_count(int(unequal.sum()))}, with"
             f" {between if most > 1.5 * least else one}. Either the masses differ, and ball_masses in the camera file"
             " gives them, or a ball lifts off or hits something else. Energies are those of equal masses"
+        )
+    balance, balance_std = (used[name].to_numpy(float) for name in ("balance_n_local", "balance_n_local_std"))
+    lost = known & (np.abs(balance) > 5 * balance_std)
+    if lost.any() and not hits:
+        sigmas = np.median(np.abs(balance / balance_std)[lost])
+        texts.append(
+            f"masses: with ball_masses of the camera file momentum is off by {sigmas:.2g} errors in"
+            f" {_count(int(lost.sum()))}. By recoil the struck ball has {np.median(ratio[lost]):.3g} times the mass of"
+            " the striker. ball_masses is [ball a, ball b], and b is the striker if no column striker says otherwise:"
+            " check which ball is which"
         )
     # effects of the camera may name it too
     fitted = used[["mass_ratio" in effects for effects in used["local_shared"].map(json.loads)]]
@@ -153,14 +177,7 @@ def _describe_local(estimates: pd.DataFrame) -> list[Note]:
             f" {np.exp(wrong):.3g} times the mass over that of particle {high} that they give. Check ball_masses, and"
             " which ball is which. Energies are those of the given masses, and their errors count the difference"
         )
-    return [Note(NoteKind.FLAG, text) for text in texts]
-
-
-def _name_frames(rows: pd.DataFrame) -> str:
-    if len(rows) != 1:
-        return "the frames in contact"
-    first, last = (int(rows[column].iloc[0]) for column in ("contact_first", "contact_last"))
-    return f"frames {first} to {last}" if last > first else f"frame {first}"
+    return texts
 
 
 def _count(number: int) -> str:

@@ -131,7 +131,9 @@ def _blocks(one: CombinedQuantity, caption: str) -> list[Block]:
         for name, fit in one.by_result.items():
             mean, scatter = _format(fit.coefficients[0], fit.std[0], quantity), fit.scatter * quantity.factor
             rows.append((name, str(len(fit.weights)), mean, format_number(scatter, 2)))
-        note = f"Probability of such differences, if there are none: {format_number(one.difference_p, 2)}."
+        note = "Results of one collision each cannot differ by more than the scatter of the collisions."
+        if math.isfinite(one.difference_p):
+            note = f"Probability of such differences, if there are none: {format_number(one.difference_p, 2)}."
         blocks.append(PageTable(["result", "n", "mean", "scatter τ"], rows, "Each result", note))
     known = one.values.dropna(subset=["influence"])
     if len(known):

@@ -355,3 +355,14 @@ def test_few_disturbed_hits_of_balls_that_roll_leave_the_friction_of_the_others(
     raw = [json.loads(row["local"]) for row in draw_rows(20, 0.003, 0.003, 0.0)]
     rows = as_motions([{"local": json.dumps(one | {"unseen": []})} for one in raw], glide)
     assert all("mu_k" not in json.loads(row["local"])["unseen"] for row in calibrate_set(rows))
+
+
+@pytest.mark.parametrize(("bias", "said"), [(0.0, False), (0.2, True)])
+def test_a_note_names_given_masses_that_one_hit_contradicts(bias, said):
+    """A fifth of the momentum is too much for errors of velocities of 1.2 %."""
+    (row,) = draw_rows(1, 0.003, 0.003, bias)
+    raw = json.loads(row["local"]) | {"masses_known": True}
+    changed = row | {"local": json.dumps(raw, separators=(",", ":")), "recommended": "local"}
+    table = pd.DataFrame([make_empty_row(Camera.from_dict(CAMERA), "misfit") | changed])
+    notes = [str(note) for note in list_messages(table)]
+    assert any("check which ball is which" in note for note in notes) == said
