@@ -19,6 +19,7 @@ from synthcam_shared.errors import InputError
 from tracker.gas.contact_groups import count_hidden_rows
 from tracker.gas.energy import SINKS, measure_losses
 from tracker.gas.free_paths import FreePath, PathCuts, cut_free_paths, extrapolate_to_contact
+from tracker.gas.loss_on_air import balance_on_air
 from tracker.gas.pair_correlation import pair_correlation
 from tracker.gas.rolling_loss import measure_rolling_loss
 from tracker.gas.temperature import (
@@ -113,7 +114,8 @@ def measure_gas(
     by_frame = np.split(positions[order], np.unique(frames[order], return_index=True)[1][1:])
     a2, a2_std = measure_sonine(table, time, noise)
     values = {"position_noise": noise, "noise_ratio": noise / claimed, "sonine_a2": a2, "sonine_a2_std": a2_std}
-    values |= measure_rolling_loss(balls, paths, noise)
+    values |= (law := measure_rolling_loss(balls, paths, noise))
+    time = balance_on_air(time, table, law) if camera.on_air else time
     values |= _measure_rates(balls, contacts) | _predict_rates(time, sides, camera)
     # the relative errors of lengths and of the frame rate in whatever depends on them
     of_energy = 2 * np.hypot(camera.scale_error, camera.fps_error)
