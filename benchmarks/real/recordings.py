@@ -27,11 +27,15 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RecordedHit:
-    """One hit: its name, positions in m (clip, frame, particle, x, y, t_s) and the keys of camera.json."""
+    """One hit: its name, positions in m (clip, frame, particle, x, y, t_s) and the keys of camera.json.
+
+    balls: which balls of the recording particles 0 and 1 are, if it has more than two.
+    """
 
     name: str
     tracks: pd.DataFrame
     camera: dict[str, Any]
+    balls: tuple[int, int] = (0, 1)
 
 
 # --- billiards ---
@@ -50,7 +54,8 @@ def read_billiards(clone: Path) -> list[RecordedHit]:
     for number, shot in enumerate(shots):
         balls = {k: np.column_stack([ball[c] for c in "txy"]) for k, ball in shot["balls"].items()}
         if (rows := _cut_first_hit(balls)) is not None:
-            hits.append(RecordedHit(f"shot {number}", rows, camera))
+            cue, target, _ = _order_by_start(balls)
+            hits.append(RecordedHit(f"shot {number}", rows, camera, (target, cue)))
     return hits
 
 
@@ -73,8 +78,7 @@ def _cut_first_hit(balls: dict[int, Floats]) -> pd.DataFrame | None:
     The recorder dropped positions that moved by less than 2 mm, so a ball at rest is entered in every frame.
     """
     starts = {k: _first_move(rows) for k, rows in balls.items()}
-    cue, *others = sorted(starts, key=lambda k: starts[k])
-    target, *third = others
+    cue, target, *third = _order_by_start(balls)
     hit = starts[target]
     if not np.isfinite(hit) or _is_at_rail(balls[target][0, 1:]):
         return None
@@ -98,6 +102,11 @@ def _cut_first_hit(balls: dict[int, Floats]) -> pd.DataFrame | None:
     enough = (two["t_s"] < hit).sum() >= 4 and min((b["t_s"] >= hit).sum() for b in (one, two)) >= 4
     near = _nearest(one, two) < 2 * BALL_M
     return rows.reset_index(drop=True) if enough and near else None
+
+
+def _order_by_start(balls: dict[int, Floats]) -> list[int]:
+    """The balls in the order in which they start to move: the striker, the ball that it hits first, the third."""
+    return sorted(balls, key=lambda k: _first_move(balls[k]))
 
 
 def _first_move(rows: Floats) -> float:
