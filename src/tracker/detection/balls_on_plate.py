@@ -79,8 +79,12 @@ def find_balls_at_rest(shares: Iterable[Floats], at_rest: Flags, radius: float, 
             own = one.mask[1:-1, 1:-1] > 0
             rests = (at_rest[one.at] & own).sum() / own.sum()
             known = not (at_rest[one.at] & own & (balls[one.at] == 0)).any()
-            if least < rests < most and not known and pack_region(one, share, radius, apart):
+            discs = pack_region(one, share, radius, apart) if least < rests < most and not known else []
+            if discs:
                 one.fill(balls)
+            for disc in discs:  # also one that hardly differs from the plate
+                x, y = np.round(disc.position).astype(int).tolist()
+                cv2.circle(balls, (x, y), int(np.ceil(apart / 2)), 1, -1)
     return np.asarray(cv2.dilate(balls, np.ones((5, 5), np.uint8)) > 0)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.arrays import Array, Flags
+from tracker.detection.background.windows import find_regions
 from tracker.detection.outlines.contrast_regions import ContrastRegion
 from tracker.detection.outlines.disc_fit import DiscFit
 
@@ -16,6 +17,8 @@ MAX_DISCS = 24  # of one region
 MAX_RADIUS = 1.1  # of a disc, over the common one
 EDGE_WIDTH_PX = 1.0  # over which the edge of a disc fades; a plane that saturates has edges as steep as a pixel
 ENLARGEMENT_PX = 1.2  # of a radius: a plane that saturates shows a pixel that a ball covers by a tenth
+SHRINKAGE_PX = 0.8  # of the radius of a dark ball whose rim hardly differs from the plate, where no larger one fits
+CONTACT_BONUS = 0.2  # of the score of a first centre, for each disc that it touches: gaps of a rack hardly show
 RADIUS_SPREAD = 0.1  # standard deviation of the radii, relative: a disc of more contrast looks larger
 
 
@@ -31,19 +34,45 @@ def pack_region(region: ContrastRegion, cover: Floats, radius: float, apart: flo
     """Fit touching discs to a region of a picture, as `fit_disc_packing`.
 
     cover: (h, w) of the whole picture, the share of each pixel that discs cover. Pixels further than one from the
-    region count as bare. Dim ones in its holes count as covered by more than half: a ball may have dim parts.
+    region count as bare. Dim ones in its holes count as covered by more than half: a ball may have dim parts. A ball
+    that hardly differs from the plate belongs to the region that it touches.
     """
     least = 0.12  # share of a dim pixel, above that of noise
     rows, columns = region.at
-    top, left = max(rows.start - 2, 0), max(columns.start - 2, 0)
-    at = slice(top, rows.stop + 2), slice(left, columns.stop + 2)
-    own = np.zeros(cover.shape, np.uint8)[at]
-    mask = region.mask[1:-1, 1:-1]
-    inside = own[rows.start - top :, columns.start - left :][: mask.shape[0], : mask.shape[1]]
-    inside[:] = mask
+    margin = int(np.ceil(apart)) + 2
+    top, left = max(rows.start - margin, 0), max(columns.start - margin, 0)
+    at = slice(top, rows.stop + margin), slice(left, columns.stop + margin)
+    shown = np.ascontiguousarray(cover[at], np.float32)
+    own = np.zeros(shown.shape, np.uint8)
+    own[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = region.mask[1:-1, 1:-1]
     near = cv2.dilate(own, np.ones((3, 3), np.uint8))
-    dim = cv2.blur(np.ascontiguousarray(cover[at], np.float32), (3, 3)) > least
-    return fit_disc_packing(np.maximum(cover[at] * near, 0.6 * (own & dim)), (left, top), radius, apart)
+    smooth = np.asarray(cv2.blur(shown, (3, 3)), np.float32)
+    filled = np.maximum(shown * near, 0.6 * (own & (smooth > least)))
+    whole = np.maximum(filled, _find_faint_parts(shown, smooth, own, apart))
+    return fit_disc_packing(whole, (left, top), radius, apart)
+
+
+def _find_faint_parts(shown: Floats, smooth: Floats, own: NDArray[np.uint8], apart: float) -> NDArray[np.float32]:
+    """Find what touches a region and is as faint as a ball of nearly the plate's colour: 1 there, 0 elsewhere.
+
+    shown, smooth: (h, w) shares, and their means over 3 x 3 pixels. own: the pixels of the region.
+    """
+    least, least_width_px = 0.2, 5  # share, above that of the plate beside coloured balls; of what is no blurred rim
+    rim = cv2.dilate(own, np.ones((5, 5), np.uint8))
+    others = np.zeros_like(own)
+    for other in find_regions((shown > 0.5) & (rim == 0), 0.25 * np.pi * (apart / 2) ** 2):
+        others[other.at] |= other.own
+    beside = cv2.dilate(others, np.ones((5, 5), np.uint8))
+    faint = ((smooth > least) & (rim == 0) & (beside == 0)).view(np.uint8)
+    element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (least_width_px, least_width_px))
+    wide = cv2.morphologyEx(cv2.morphologyEx(faint, cv2.MORPH_OPEN, element), cv2.MORPH_CLOSE, element)
+    touching = np.zeros(own.shape, np.float32)
+    for part in find_regions((wide > 0) | (rim > 0), 0):
+        if own[part.at][part.own].any():
+            touching[part.at][part.own] = wide[part.at][part.own]
+    # the rim was left out: the closing fills it where a faint part lies behind it
+    filled = cv2.morphologyEx(np.maximum(touching, own), cv2.MORPH_CLOSE, element)
+    return np.asarray(np.where(cv2.dilate(touching, np.ones((7, 7), np.uint8)) > 0, filled, 0), np.float32)
 
 
 def fit_disc_packing(cover: Floats, corner: tuple[int, int], radius: float, apart: float) -> list[DiscFit]:
@@ -60,6 +89,8 @@ def fit_disc_packing(cover: Floats, corner: tuple[int, int], radius: float, apar
     - where the discs and the region differ too much;
     - where the convex hull of the region is nearer to it, as to a bar;
     - where two discs overlap.
+
+    No disc is smaller than a ball, unless no other fit explains the region.
     """
     of_few, of_many, many = 0.9, 0.87, 6  # least area that discs and region share, over that of either; number of discs
     reach = int(np.ceil(1.3 * radius)) + 2
@@ -72,12 +103,13 @@ def fit_disc_packing(cover: Floats, corner: tuple[int, int], radius: float, apar
         return []
     rows, columns = np.nonzero(cv2.dilate((padded > 0.1).view(np.uint8), np.ones((5, 5), np.uint8)))
     pixels = _Pixels(columns.astype(float), rows.astype(float), padded[rows, columns].astype(float))
-    fit = _fit_discs(pixels, np.column_stack([centres, np.full(len(centres), radius)]), radius, apart)
-    min_overlap = of_few if len(centres) < many else of_many  # one of many may be as dim as the plate
-    away = np.hypot(*(fit.discs[:, None, :2] - fit.discs[None, :, :2]).transpose(2, 0, 1))
-    if (away + np.diag(np.full(len(away), np.inf))).min() < 0.83 * apart or fit.overlap < min_overlap:
-        return []
-    if fit.overlap < _measure_solidity(padded > 0.5):
+    starts = np.column_stack([centres, np.full(len(centres), radius)])
+    min_overlap = max(of_few if len(centres) < many else of_many, _measure_solidity(padded > 0.5))
+    for shrinkage in (0.0, SHRINKAGE_PX):
+        fit = _fit_discs(pixels, starts, radius, apart, apart / 2 - shrinkage)
+        if fit.overlap >= min_overlap and fit.least_distance >= 0.83 * apart:
+            break
+    else:
         return []
     shift = np.subtract(corner, reach)
     return [
@@ -102,7 +134,8 @@ def _make_disc(radius: float) -> NDArray[np.float32]:
 
 def _find_first_centres(mask: Flags, radius: float, apart: float) -> Array:
     """Centres (n, 2), px: one after the other, where a disc explains the most pixels and outline still unexplained."""
-    min_inside, min_uncovered = 0.93, 0.7  # shares of a disc: in the region, and covered by no other disc
+    min_uncovered = 0.7  # share of a disc that no other disc covers
+    min_inside, min_faint_inside = 0.93, 0.8  # share of a disc in the region; of one whose rim may not show
     edge = 1.2  # px, from an outline that a disc explains
     away = _make_disc(radius + edge)
     core = (away < 0.42 * apart).astype(np.float32)
@@ -110,23 +143,28 @@ def _find_first_centres(mask: Flags, radius: float, apart: float) -> Array:
     ring = ((away > apart / 2 - 1) & (away < radius + 0.75)).astype(np.float32)
     ring /= 2 * np.pi * radius
     free = mask.astype(np.float32)
-    fits = cv2.filter2D(free, -1, core / core.sum(), borderType=cv2.BORDER_CONSTANT) >= min_inside
+    inside = cv2.filter2D(free, -1, core / core.sum(), borderType=cv2.BORDER_CONSTANT)
+    least = min_inside
     eroded = cv2.erode(mask.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
     outline = (mask & ~eroded).astype(np.float32)
     rows, columns = np.mgrid[: mask.shape[0], : mask.shape[1]]
-    centres = list[tuple[int, int]]()
+    centres, contacts = list[tuple[int, int]](), np.zeros(mask.shape)
     while len(centres) <= MAX_DISCS:
         uncovered = cv2.filter2D(free, -1, whole / whole.sum(), borderType=cv2.BORDER_CONSTANT)
         support = cv2.filter2D(outline, -1, ring, borderType=cv2.BORDER_CONSTANT)
-        score = np.where(fits & (uncovered > min_uncovered), uncovered + support, 0.0)
-        _, best, _, (x, y) = cv2.minMaxLoc(score)
+        score = uncovered + support + CONTACT_BONUS * contacts
+        _, best, _, (x, y) = cv2.minMaxLoc(np.where((inside >= least) & (uncovered > min_uncovered), score, 0.0))
+        if best <= 0 and least == min_inside:
+            least = min_faint_inside
+            continue
         if best <= 0:
             break
         centres.append((x, y))
         far = np.hypot(columns - x, rows - y)
+        contacts += np.exp(-0.5 * ((far - apart) / (0.06 * apart)) ** 2)
         free[far < apart / 2] = 0
         outline[far < radius + edge] = 0
-        fits &= far > 0.85 * apart  # first centres are a pixel off
+        inside[far <= 0.85 * apart] = 0  # first centres are a pixel off
     return np.array(centres, float).reshape(-1, 2)
 
 
@@ -146,9 +184,10 @@ class _PackingFit:
     discs: Array  # (n, 3): x, y, radius, px
     covariances: Array  # (n, 2, 2): px^2
     overlap: float  # area that the discs and the region share, over the area that either has
+    least_distance: float  # of two centres, px
 
 
-def _fit_discs(pixels: _Pixels, discs: Array, radius: float, apart: float) -> _PackingFit:
+def _fit_discs(pixels: _Pixels, discs: Array, radius: float, apart: float, min_radius: float) -> _PackingFit:
     """Fit centres and radii by Gauss-Newton steps; radii are tied to the common one, and discs repel."""
     largest_step, turns = 0.5, 12  # px
     count, prior = len(discs), 1 / (RADIUS_SPREAD * radius) ** 2
@@ -160,17 +199,20 @@ def _fit_discs(pixels: _Pixels, discs: Array, radius: float, apart: float) -> _P
         variance = max(float(np.mean(off**2)), 1e-4)
         normal = slopes @ slopes.T / variance + np.diag(tie) + 1e-6 * np.eye(3 * count)
         pull = slopes @ off / variance - tie * (discs - [0.0, 0.0, radius]).ravel()
-        stiffness, push = _repel(discs, apart)
+        stiffness, push = _repel(discs, apart, _measure_stiffness(radius) / variance)
         normal, pull = normal + stiffness, pull + push
         step = np.linalg.solve(normal, pull).reshape(-1, 3)
         discs = discs + np.clip(step, -largest_step, largest_step)
-        discs[:, 2] = np.clip(discs[:, 2], 0.4 * apart, MAX_RADIUS * radius)  # none grows over gaps that do not show
+        # none grows over gaps that do not show
+        discs[:, 2] = np.clip(discs[:, 2], min_radius, MAX_RADIUS * radius)
         if np.abs(step).max() < 0.01:
             break
     blocks = np.linalg.inv(normal).reshape(count, 3, count, 3)
     covariances = np.array([blocks[k, :2, k, :2] for k in range(count)])
     both, either = np.minimum(model, pixels.cover).sum(), np.maximum(model, pixels.cover).sum()
-    return _PackingFit(discs, covariances, float(both / either))
+    away = np.hypot(*(discs[:, None, :2] - discs[None, :, :2]).transpose(2, 0, 1))
+    least_distance = float(away[~np.eye(count, dtype=bool)].min())
+    return _PackingFit(discs, covariances, float(both / either), least_distance)
 
 
 def _render(pixels: _Pixels, discs: Array) -> tuple[Array, Array]:
@@ -187,10 +229,17 @@ def _render(pixels: _Pixels, discs: Array) -> tuple[Array, Array]:
     return 1 - bare.prod(axis=0), slopes
 
 
-def _repel(discs: Array, apart: float) -> tuple[Array, Array]:
-    """Normal matrix (3 n, 3 n) and pull (3 n,) of pairs of discs that are nearer than they can be."""
+def _measure_stiffness(radius: float) -> float:
+    """Element of the normal matrix, px^-2 in units of the variance of a pixel, by which an outline holds its disc."""
+    return float(np.pi * radius / (2 * EDGE_WIDTH_PX))
+
+
+def _repel(discs: Array, apart: float, weight: float) -> tuple[Array, Array]:
+    """Normal matrix (3 n, 3 n) and pull (3 n,) of pairs of discs that are nearer than they can be.
+
+    weight: stiffness of the contact of two discs, px^-2.
+    """
     stiffness, push = np.zeros((discs.size, discs.size)), np.zeros(discs.size)
-    weight = 1 / (0.01 * apart) ** 2  # discs are seen as near as that by errors of their outlines
     off = discs[:, None, :2] - discs[None, :, :2]
     away = np.hypot(*off.transpose(2, 0, 1))
     for i, j in np.argwhere(np.triu(away < apart, 1)):

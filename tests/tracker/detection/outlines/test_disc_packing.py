@@ -51,6 +51,32 @@ def test_discs_that_a_plane_enlarges_are_told_apart():
     assert away.min(axis=1).max() < 1.0
 
 
+def test_a_full_rack_is_found_although_its_gaps_do_not_show():
+    """Discs of 13.2 px whose centres are 22.4 px apart leave no gap; the three inner ones have no outline."""
+    centres = rack(5, 11.2)
+    cover = cover_of(centres, 13.2)
+    found = np.array([fit.position for fit in fit_disc_packing(np.where(cover > 0.3, cover, 0), (0, 0), 12.6, 22.4)])
+    away = np.hypot(*(centres[:, None] - found.reshape(-1, 2)).transpose(2, 0, 1))
+    assert len(found) == 15
+    assert away.min(axis=1).max() < 0.1  # px
+
+
+def test_a_faint_ball_is_found_beside_those_that_it_touches():
+    """The plane shows it at a third of the contrast of the others, in the middle of a side of the rack."""
+    centres, faint = rack(4, 11.2), 3
+    others = np.delete(centres, faint, axis=0)
+    cover = np.maximum(cover_of(others, 12.4, 0.0), 0.35 * disc(centres[faint], 11.2, size=SIZE))
+    own = cover > 0.5
+    rows, columns = np.nonzero(own)
+    at = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+    (region,) = split_region(cover[at], own[at], (at[1].start, at[0].start), 0, 0.5, 3.0)
+    found = np.array([fit.position for fit in pack_region(region, cover, 12.4, 22.4)]).reshape(-1, 2)
+    away = np.hypot(*(centres[:, None] - found).transpose(2, 0, 1)).min(axis=1, initial=99)
+    assert len(found) == len(centres)
+    assert away[faint] < 1.5  # px
+    assert np.delete(away, faint).max() < 0.5
+
+
 @pytest.mark.parametrize("shape", ["bar", "palm", "ring"])
 def test_what_is_no_group_of_discs_has_no_fit(shape):
     """None of these shapes has the outline of discs of 8 px, although each has the area of several."""
