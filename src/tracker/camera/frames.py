@@ -32,6 +32,7 @@ class Frames(Sequence[Any]):
     seconds: Array | None = None  # time of each frame by that clock, where they are not evenly spaced
     faults: tuple[str, ...] = ()  # of their file
     colours: Callable[[int], Any] | None = None  # red, green and blue (h, w, 3) of a frame, where the film has them
+    film_colours: Callable[[int], Any] | None = None  # as `colours`, of the film of which these are a plane
     contents: Any = None  # what a pass over a video found, for `read_video` to open it again without a pass
 
     def __init__(self, count: int, shape: tuple[int, int], dtype: Any, fetch: Callable[[int], Frame]) -> None:
@@ -164,7 +165,9 @@ class Frames(Sequence[Any]):
                 convert = read_plane(name, sample, self.white(sample() if self.dtype != np.uint8 else ()))
             return convert(colours(k))
 
-        return self.with_fetch(fetch, np.uint8 if is_plane(name) else None)
+        out = self.with_fetch(fetch, np.uint8 if is_plane(name) else None)
+        out.film_colours = colours
+        return out
 
     def white(self, pictures: Sequence[Any]) -> float:
         """The count of white: 255, or the largest of these pictures where the film has more bits."""

@@ -83,6 +83,18 @@ def test_all_balls_of_a_rack_have_one_track_from_first_to_last_frame():
     assert (nearest == 1).all()
 
 
+def test_the_bright_side_of_balls_does_not_shift_them():
+    """The plane enlarges the side that differs more from the plate by more."""
+    lit = tuple(
+        (tuple(0.25 * level for level in colour), colour) for colour in COLOURS[:2] + COLOURS[3:5] + COLOURS[:2]
+    )
+    ways = break_of_five(24)
+    result = tracker.track(draw(ways, lit, GREEN, shadow=False), CAMERA, channel=PLATE)
+    off = result.tracks[["x", "y"]].to_numpy() - ways[:, result.tracks["frame"]]
+    nearest = off[np.hypot(*np.moveaxis(off, -1, 0)).argmin(axis=0), np.arange(off.shape[1])]
+    assert abs(nearest[:, 0].mean()) < 0.2  # px
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_each_clip_in_colour_chooses_its_plane_after_a_first_clip_in_grey(tmp_path):
     ways = break_of_five()

@@ -31,12 +31,12 @@ from tracker.detection.outlines.contrast_regions import (
     find_touching_discs,
     split_region,
 )
-from tracker.detection.outlines.disc_fit import DiscAppearance, DiscFit, DiscScene, fit_disc
+from tracker.detection.outlines.disc_fit import DiscAppearance, DiscFit, DiscScene, find_lit_side, fit_disc
 from tracker.detection.outlines.disc_group import fit_disc_group
 from tracker.detection.outlines.disc_packing import ENLARGEMENT_PX, estimate_least_distance, pack_region
 from tracker.detection.outlines.hidden_disc import fit_outline_circle
 
-PLATE_SHIFT_SHARE = 0.25  # shift of a disc in the plane of distances from the plate, over how much it is enlarged
+PLATE_SHIFT_SHARE = 0.25  # shift of a lit disc in the plane of distances from the plate, over how much it is enlarged
 ContrastArea: TypeAlias = tuple[PixelRegion, NDArray[np.float32]]  # a region, and its difference from the background
 MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest
 
@@ -131,6 +131,7 @@ class Discs:
         self.apart = estimate_least_distance(self.radius, 2 * given if knows_radius else None)
         if self.on_plate:  # a ball of little contrast looks as large as it is
             self.radii.append(self.apart / 2)
+        self.plate_shift = self._estimate_plate_shift(view.frames, survey, areas) if self.on_plate else np.zeros(2)
         for scene, numbers in samples.items():
             clean = self._clear_balls_at_rest if self.on_plate else self._clean_background
             self.scenes[scene] = clean(scene, [np.asarray(view.frames[k]) for k in numbers], tally)
@@ -377,6 +378,25 @@ class Discs:
             radii, still = np.array([p.minor for p in seen]), strong
         return _common_radii(radii[still], self.settings.disc_radius_tolerance), usual
 
+    def _estimate_plate_shift(self, frames: Sequence[Any], survey: list[int], areas: list[list[ContrastArea]]) -> Array:
+        """The mean shift (2,) of discs in the plane of distances from the plate, px, towards the light.
+
+        The bright side of a ball differs more from the plate, so that its edge is enlarged more. The light comes from
+        where the discs of some frames are brighter.
+        """
+        most_frames, least_discs = 9, 3
+        if not isinstance(frames, Frames) or frames.film_colours is None:
+            return np.zeros(2)
+        sides = list[Array]()
+        for number, of_frame in pick_spread(list(zip(survey, areas, strict=True)), most_frames):
+            discs = [part for part in self._split(of_frame) if self._is_disc(part, self.radius)]
+            if discs:
+                light = np.asarray(frames.film_colours(number), np.float32)[..., :3].sum(axis=2)
+                sides += [find_lit_side(light, disc.middle, self.radius) for disc in discs]
+        if len(sides) < least_discs:
+            return np.zeros(2)
+        return np.asarray(PLATE_SHIFT_SHARE * (self.radius - self.apart / 2) * np.mean(sides, axis=0))
+
     def _without_shadows(self, areas_of_frames: list[list[ContrastArea]], given: float | None) -> list[ContrastRegion]:
         """Discs in frames spread over the film; decides whether balls are lit from one side or are dark."""
         either = [p for areas in areas_of_frames for p in self._split(areas) if self._is_disc(p, given or p.minor)]
@@ -513,7 +533,7 @@ class Discs:
     def _packed_group(self, seen: _SeenFrame, part: ContrastRegion, radius: float) -> list[tuple[DiscFit, int]]:
         """Find discs that touch, in the plane of distances from the plate; none if discs do not explain the region."""
         group = pack_region(part, seen.whole_difference / self.contrast, radius, self.apart)
-        return self._fit_edges(seen, group, radius)
+        return [(fit, int(PositionFlag.NEAR)) for fit in group]
 
     def _fit_edges(self, seen: _SeenFrame, group: list[DiscFit], radius: float) -> list[tuple[DiscFit, int]]:
         """Fit each disc of a group to its edge, with flags. A disc whose fit fails keeps its position in the group."""
@@ -532,7 +552,8 @@ class Discs:
         cov, fixed = np.array([f.cov for f in found]), np.array([f.fixed for f in found])
         for matrix in (cov, fixed):
             matrix[:, 1, 0] = matrix[:, 0, 1]
-        if self.on_plate:  # a side of less light is enlarged less; the shift is the same in most frames
+        if self.on_plate:  # a side of less light is enlarged less; what is left is the same in most frames
+            x, y = x - self.plate_shift[0], y - self.plate_shift[1]
             shift = PLATE_SHIFT_SHARE * (self.radius - self.apart / 2)
             cov, fixed = cov + shift**2 * np.eye(2), fixed + shift**2 * np.eye(2)
         rim = np.minimum.reduce([x, y, shape[1] - 1 - x, shape[0] - 1 - y]) <= radii

@@ -63,7 +63,7 @@ def fit_disc(scene: DiscScene, start: Array) -> DiscFit | None:
     if not look.shaded:
         return _fit_from(scene, start)
     # The first position is that of the bright part. The fit starts there and at two points further from the lamp.
-    starts = [start - share * look.radius * _lit_side(scene.frame, start, look.radius) for share in (0.0, 0.2, 0.4)]
+    starts = [start - share * look.radius * find_lit_side(scene.frame, start, look.radius) for share in (0.0, 0.2, 0.4)]
     tried = [f for at in starts if (f := _fit_from(scene, at)) is not None]
     best = min(tried, key=lambda f: f.spread, default=None)
     for _ in range(3):
@@ -81,7 +81,7 @@ def _max_shift(look: DiscAppearance) -> float:
     return 1.5 + look.shaded * 0.25 * look.radius
 
 
-def _lit_side(frame: Picture, at: Array, radius: float) -> Array:
+def find_lit_side(frame: Picture, at: Array, radius: float) -> Array:
     """The direction (2,) in which a disc becomes brighter; zero where none of it is in the picture."""
     rows, columns = _list_pixels(at, int(radius / 2) + 1, frame.shape, 0)
     dx, dy = columns - at[0], rows - at[1]
