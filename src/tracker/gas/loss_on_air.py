@@ -21,7 +21,7 @@ def balance_on_air(time: pd.DataFrame, table: pd.DataFrame, values: Mapping[str,
     """Replace the loss to the plate by that of the law of gliding; contacts and walls share the rest of the energy.
 
     Their losses are measured, and so is their sum. All three are adjusted by their errors. If they disagree by more
-    than these, hits of either kind are missing: both variances grow alike until they agree. Without a law nothing
+    than these, hits of either kind are missing: both variances grow by the same until they agree. Without a law nothing
     changes.
 
     time: the observables by frame. table: velocities, from `tabulate_velocities`. values: the law, from

@@ -18,6 +18,7 @@ MIN_PATHS_OF_DRAG = 8  # and how it grows with the speed; fewer would let one fa
 MAX_SIGMA = 3.0  # by which residuals, and an acceleration across the path, may exceed the noise
 MIN_SIGMA_OF_SPEED = 10.0  # of a path: below, its direction is not known
 MIN_SPEED_OVER_CHANGE = 0.75  # mean speed of a path over the change of its speed; 0.5: the ball stops at its end
+MAX_SCATTER = 0.3  # of the loss from path to path, over it; balls that still slide, or are hit unseen, have more
 NAMES = ("rolling_speed", "rolling_loss", "rolling_drag", "rolling_loss_std", "rolling_drag_std")
 
 
@@ -34,8 +35,8 @@ def measure_rolling_loss(balls: Sequence[BallTrack], paths: Sequence[FreePath], 
     """Measure the deceleration of balls that roll, or glide on air, by a random-effects regression over free paths.
 
     rolling_loss: m/s^2, at rolling_speed (m/s), where the paths show it best. rolling_drag: how it grows with the
-    speed, 1/s. Both have NAME_std. A film with too few paths has NaN. Paths that are so slow that the ball may rest at
-    their end do not count.
+    speed, 1/s. Both have NAME_std. A film has NaN with too few paths, or with paths that disagree. Paths that are so
+    slow that the ball may rest at their end do not count.
 
     paths: of these balls, with the instants from which they roll. noise: of a coordinate, m.
     """
@@ -58,6 +59,8 @@ def measure_rolling_loss(balls: Sequence[BallTrack], paths: Sequence[FreePath], 
         design = np.column_stack([np.ones(len(loss)), speed - middle])[:, :terms]
         fit = fit_random_effects(loss[moves], std[moves], design=design[moves])
         moves = speed > MIN_SPEED_OVER_CHANGE * design @ fit.coefficients * duration
+    if fit.scatter > MAX_SCATTER * abs(fit.coefficients[0]):
+        return dict.fromkeys(NAMES, float("nan"))
     value, error = (np.append(each, np.full(2 - terms, np.nan)) for each in (fit.coefficients, fit.std))
     return dict(zip(NAMES, map(float, (middle, *value, *error)), strict=True))
 

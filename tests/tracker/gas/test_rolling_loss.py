@@ -91,3 +91,14 @@ def test_a_crowd_shows_the_loss_after_slides_and_on_air(scene, known):
     drag, decel = (clip.model.rolling_drag, clip.model.rolling_decel) if scene == "crowd" else (0.05, 0.02)
     truth = decel + drag * gas.values["rolling_speed"]
     assert abs(gas.values["rolling_loss"] - truth) < 3 * gas.values["rolling_loss_std"] < 0.1 * truth
+
+
+def test_paths_that_disagree_show_no_loss():
+    """Some of the balls slide under a friction that no fit of their own path shows."""
+    pairs = [make_path(k, speed, 4) for k, speed in enumerate(np.linspace(0.2, 0.6, 10))]
+    for k in range(0, 10, 3):
+        ball, path = pairs[k]
+        way = ball.position[-1] - ball.position[0]
+        slides = -0.2 * ball.time[:, None] ** 2 / 2 * way / np.hypot(*way)
+        pairs[k] = replace(ball, position=ball.position + slides), path
+    assert all(np.isnan(value) for value in measure(pairs).values())
