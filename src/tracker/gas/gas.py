@@ -148,7 +148,8 @@ def find_free_paths(
     margins = np.full(len(contacts), np.inf)  # half an exposure, and twice the error of the time of a contact
     if "t_s_std" in contacts:
         margins = max(ball.exposure for ball in balls) / 2 + 2 * contacts["t_s_std"].to_numpy(dtype=np.float64)
-    noise = measure_scatter_of_paths([(ball.frame, ball.position) for ball in balls])
+    least_noise = 1e-9  # m; tracks of a simulation may have none
+    noise = max(measure_scatter_of_paths([(ball.frame, ball.position) for ball in balls]), least_noise)
     cuts = PathCuts(
         window_rows=settings.window_rows,
         margins_s=np.fmin(margins, settings.margin_frames / camera.fps),

@@ -168,9 +168,16 @@ def _limits(gas: GasObservables, camera: Camera) -> list[str]:
             f"{100 * unresolved:.0f} % of the lost energy is not resolved: after many contacts "
             "the slide or the free path has too few frames; a higher frame rate resolves it"
         )
-    min_free_frames = 20  # between contacts, on average
+    min_free_frames, min_seen_frames = 20, 4  # between contacts, on average
     between = camera.fps / gas.values["contact_rate"] if gas.values["contact_rate"] else np.inf
-    if between < min_free_frames:
+    by_theory = float((gas.time["balls"] + gas.time["unknown"]).sum()) / max(2 * gas.values["contacts_theory"], 1e-300)
+    if by_theory < min_seen_frames:
+        notes.append(
+            f"hard discs of this density and temperature would have {by_theory:.1f} frames between contacts; under "
+            f"{min_seen_frames} most contacts are not seen, and temperature and energies are off by more than their "
+            "errors; a higher frame rate shows them"
+        )
+    elif between < min_free_frames:
         notes.append(
             f"a ball has {between:.1f} frames between contacts; under {min_free_frames} the temperature is "
             "some per cent too low, which its error allows for"

@@ -55,3 +55,20 @@ def test_frames_with_two_balls_add_nothing_to_those_with_three(away):
     assert set(gas.time["frame"]).isdisjoint(away)
     energy = (STEPS**2).sum() / 2 * (250 * 1e-4) ** 2
     np.testing.assert_allclose(gas.time["energy"], energy, rtol=1e-6)
+
+
+def test_a_note_says_that_contacts_are_too_frequent_to_be_seen():
+    """Forty balls of 6 mm in 0.1 m x 0.1 m: at 2 m/s hard discs would meet every other frame.
+
+    Tracks without noise also have kinks beside paths of two positions.
+    """
+    rng, frame = np.random.default_rng(1), np.arange(30)
+    velocity = rng.normal(0, 2 / np.sqrt(2), (40, 2))
+    place = (rng.uniform(0, 0.1, (40, 1, 2)) + frame[:, None] / 250 * velocity[:, None]) % 0.2
+    folded = (np.minimum(place, 0.2 - place) / 1e-4).reshape(-1, 2)  # by walls that turn them back
+    table = pd.DataFrame({"frame": np.tile(frame, 40), "particle": np.repeat(np.arange(40), 30)})
+    table = table.assign(x=folded[:, 0], y=folded[:, 1], x_std=0.05, y_std=0.05, cov_xy=0.0)
+    camera = {"size": [1001, 1001], "fps": 250, "scale": 1e-4, "ball_diameter": 6e-3}
+    fast, slow = tracker.observe_gas(tracker.measure(table, camera)), observe()
+    assert any("hard discs of this density" in note for note in fast.notes)
+    assert not any("hard discs of this density" in note for note in slow.notes)
