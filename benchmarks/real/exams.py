@@ -10,8 +10,7 @@ Each CLONE is a clone of one of the repositories that `recordings` reads. The pr
   sees no rotation, so this factor tests its tangential velocities: it is their change over that of R times the spin,
   which markers on the pucks show;
 - discs (TIF083A, series 5 to 7): mass ratios by recoil, r of taped discs, which stick, and how long contacts with
-  springs last, beside those of the same discs without springs. `contact_durations` finds these durations in the tracks.
-  The tracker gives none of three of the four contacts with springs;
+  springs last, beside those of the same discs without springs;
 - all: the number of hits with an error of r below .05.
 
 Expected values are those of scales, of theory and of an independent analysis. That analysis has no numbers for hits
@@ -34,7 +33,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from benchmarks.harness import save
-from benchmarks.real.contact_durations import measure_contact_duration
 from benchmarks.real.hits import READERS, measure_hit, summarise
 from benchmarks.real.recordings import PUCK_HZ, RecordedHit, read_puck_angles
 from synthcam_shared.report.numbers import format_with_error
@@ -127,20 +125,20 @@ def examine_discs(given: MeasuredHits) -> Iterator[tuple[str, str, str]]:
     found = [f"{len(taped) - len(apart)} stay together"]
     found += [f"r = {format_with_error(row['r_local'], row['r_local_std'])}" for row in apart]
     yield "r of discs with tape", f"0 in {len(taped)}", ", ".join(found)
-    sprung = [hit for hit in given.hits if hit.name.startswith("S7")]
-    plain = [hit for hit in given.hits if {round(1e3 * mass, 1) for mass in hit.camera["ball_masses"]} <= PLAIN_DISCS_G]
+    sprung = [row for row in given.rows if str(row["name"]).startswith("S7")]
+    plain = [
+        row
+        for row, hit in zip(given.rows, given.hits, strict=True)
+        if {round(1e3 * mass, 1) for mass in hit.camera["ball_masses"]} <= PLAIN_DISCS_G
+    ]
     yield "duration of contacts with springs, ms", "longer than an instant", ", ".join(map(show_duration, sprung))
-    yield "duration without springs, ms", "0", ", ".join(map(show_duration, plain))
+    yield "duration without springs, ms", "none", ", ".join(map(show_duration, plain))
 
 
-def show_duration(hit: RecordedHit) -> str:
-    """How long a contact lasts, ms, or its limit if the tracks allow an instant."""
-    found = measure_contact_duration(hit)
-    if found is None:
-        return "too few positions"
-    if not found.is_finite:
-        return f"under {1e3 * found.limit:.1f}"
-    return format_with_error(1e3 * found.duration, 1e3 * found.std)
+def show_duration(row: dict[str, Any]) -> str:
+    """How long a contact lasts by the local estimate, ms; "none" where the tracks do not show it."""
+    found = [1e3 * row[f"contact_duration_local{end}"] for end in ("", "_std")]
+    return format_with_error(*found) if np.isfinite(found[0]) else "none"
 
 
 EXAMS: dict[str, Callable[[MeasuredHits], Iterator[tuple[str, str, str]]]] = {

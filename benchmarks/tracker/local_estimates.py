@@ -169,9 +169,11 @@ def measure_kind(
     return [measure_one(kind, k, seed, warp, claimed, sign) for k in range(hits)]
 
 
-def measure_one(kind: str, k: int, seed: int, warp: float, claimed: bool = False, sign: float = 1.0) -> dict[str, Any]:
-    """Measure the hit of a number: its row with the truth as NAME_true; sign: of the errors of positions."""
-    draw, noise, support = KINDS[kind]
+def draw_one(
+    kind: str, k: int, seed: int, warp: float = 0.0, claimed: bool = False, sign: float = 1.0
+) -> tuple[RecordedHit, dict[str, float]]:
+    """Draw the hit of a number, with its truth; sign: of the errors of positions."""
+    draw, noise, _ = KINDS[kind]
     waves, rng = np.random.default_rng(seed).normal(0, 10.0, (8, 2, 3)), np.random.default_rng([seed, k])
     paths, truth, camera = draw(rng)
     parts, origin = [], rng.uniform(-0.5, 0.5, 2)
@@ -181,8 +183,13 @@ def measure_one(kind: str, k: int, seed: int, warp: float, claimed: bool = False
         part = pd.DataFrame({"frame": np.arange(len(path)), "particle": ball, "x": x, "y": y})
         said = noise / 5 if "pucks" in kind else noise
         parts.append(part.assign(x_std=said, y_std=said) if claimed else part)
-    row = measure_hit(RecordedHit(f"{kind} {k}", pd.concat(parts, ignore_index=True), camera), support)
-    return row | {f"{name}_true": value for name, value in truth.items()}
+    return RecordedHit(f"{kind} {k}", pd.concat(parts, ignore_index=True), camera), truth
+
+
+def measure_one(kind: str, k: int, seed: int, warp: float, claimed: bool = False, sign: float = 1.0) -> dict[str, Any]:
+    """Measure the hit of a number: its row with the truth as NAME_true; sign: of the errors of positions."""
+    hit, truth = draw_one(kind, k, seed, warp, claimed, sign)
+    return measure_hit(hit, KINDS[kind][2]) | {f"{name}_true": value for name, value in truth.items()}
 
 
 def cover(rows: Sequence[dict[str, Any]]) -> dict[str, list[float]]:

@@ -118,6 +118,7 @@ LAYERS = {
         "lasting_errors",
         "descents",
         "local_fit",
+        "push_fit",
         "local_estimate",
         "local_columns",
     ],

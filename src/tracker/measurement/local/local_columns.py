@@ -61,6 +61,7 @@ def make_empty_columns() -> dict[str, Any]:
     for column in COLUMNS:
         row[column] = row[f"{column}_std"] = np.nan
     row |= {"chi2_local": np.nan, "dof_local": np.nan, "misfit_local": False, "motion_local": "", "local": "{}"}
+    row |= dict.fromkeys(("contact_duration_local", "contact_duration_local_std"), np.nan)
     row |= dict.fromkeys(("local_bias", "local_error_n", "local_error_t", "local_factor", "local_allowances"), np.nan)
     row |= {"local_hits": 0}
     return row | {"local_shared": "{}", "recommended": "none", "why": ""}
@@ -113,6 +114,9 @@ def make_local_columns(
     row |= {"chi2_local": estimate.chi2, "dof_local": estimate.dof}
     row["misfit_local"] = bool(estimate.adequate < settings.rejection_level)
     row["motion_local"] = GLIDE if estimate.glides else "slide and roll"
+    push = estimate.push
+    if push is not None and push.std <= settings.max_relative_error * push.value:
+        row |= {"contact_duration_local": push.value, "contact_duration_local_std": push.std}
     return row | apply_errors(row, LocalErrors(error_n=prior, error_t=prior))
 
 

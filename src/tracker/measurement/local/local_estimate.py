@@ -35,6 +35,7 @@ from tracker.measurement.local.local_fit import (
     weigh_by_residuals,
 )
 from tracker.measurement.local.local_problem import KnownEnd, KnownSlips, LocalPriors, LocalSolution
+from tracker.measurement.local.push_fit import PushDuration, measure_push
 from tracker.measurement.local.stretches import (
     ROLL,
     SLIDE,
@@ -72,6 +73,7 @@ class LocalEstimate:
     shared: by key of the camera file that has an error, its value, and the effect (n,) of one standard error.
     cov_of_known: of a contact of a crowd, the part of the covariance that errors of what is known of the motions make,
     not those of positions.
+    push: how long bodies that glide push each other; None where the positions do not show it.
     """
 
     value: Array
@@ -86,6 +88,7 @@ class LocalEstimate:
     errors_known: bool  # whether the tracks claim errors of positions that their scatter does not contradict
     shared: dict[str, tuple[float, Array]] = field(default_factory=dict)
     cov_of_known: Array | None = None
+    push: PushDuration | None = None
 
     @property
     def std(self) -> Array:
@@ -134,7 +137,9 @@ def estimate_in_steps(
     if not camera.support and any(one.problem.dry for _, one in fit.mixture):
         dry = yield from _fit_stretches(contact, replace(camera, support="sliding"), instant, known, before)
         fit = fit if isinstance(dry, str) else _put_dry_fit(fit, dry)
-    return _read_values(fit.claimed, fit.mixture, contact, camera, masses, of_crowd=of_crowd)
+    estimate = _read_values(fit.claimed, fit.mixture, contact, camera, masses, of_crowd=of_crowd)
+    glide = all(one.problem.glide and not one.problem.dry for _, one in fit.mixture)
+    return replace(estimate, push=_measure_push(estimate, contact, camera)) if glide and not of_crowd else estimate
 
 
 class LocalFit(NamedTuple):
@@ -326,6 +331,15 @@ def _read_values(
         errors_known=bool(np.isinf(noise_dof)),
         shared={error.key: (error.value, effect) for error, effect in shared},
         cov_of_known=cov_of_known,
+    )
+
+
+def _measure_push(estimate: LocalEstimate, contact: Contact, camera: Camera) -> PushDuration | None:
+    """How long bodies that glide push each other, with the error of the frame rate."""
+    instant, r = (float(estimate.value[LOCAL_NAMES.index(name)]) for name in ("t_c", "r"))
+    push = measure_push([track for _, track in contact.pair.balls], instant, r, 1 / camera.fps)
+    return (
+        None if push is None else push._replace(std=float(np.hypot(push.std, push.value * camera.fps_std / camera.fps)))
     )
 
 
