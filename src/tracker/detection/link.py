@@ -226,6 +226,8 @@ def _expect_motion(glints: Glints, camera: Camera, seen_whole: float | None, set
         position=shown.position_error,
         acceleration=max(push, min_error_px, shown.acceleration),
         fall=shown.fall,
+        usual_step=shown.step,
+        usual_share=shown.usual_share,
         bounds=bounds if seen_whole else UNBOUNDED,  # false glints are too many for that
         hidden_hits=seen_whole is not None,
         tolerance=settings.speed_tolerance if seen_whole is None else 1.0,

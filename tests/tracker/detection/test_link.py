@@ -148,6 +148,24 @@ def test_a_crowd_keeps_its_identities(scene, seed):
 IN_PIXELS = Camera.from_dict({key: value for key, value in CAMERA.items() if key != "scale"} | {"size": [720, 720]})
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_balls_that_nearly_fill_a_tray_keep_their_identities(seed):
+    """64 balls that cover 75 % of a tray hit a neighbour in each frame, so no frame confirms the step before it."""
+    x, y = 0.01069, 0.00888  # m, half of the sides
+    corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
+    walls = [{"start": a, "end": b} for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
+    inside = [2 * x - 2.383e-3, 2 * y - 2.383e-3]
+    group = {"count": 64, "arrangement": "lattice", "size": inside, "gap": 1e-6, "rms_speed": 0.15}
+    camera = {"size": [244, 208], "scale": 1e-4}
+    clip = synthcam.Scene.build("full tray", groups=[group], walls=walls, camera=camera, timing={"frames": 8}).draw(
+        seed=seed
+    )
+    true = clip.tracks
+    xy = true[["x_mean_px", "y_mean_px"]].to_numpy()
+    ids = assign_track_numbers(glints(true.frame.to_numpy(), xy), Camera.from_dict(clip.camera_json))
+    assert pure(ids, true.particle.to_numpy())
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_pushes_between_hits_exchange_no_identities(seed):
     """Magnetic or shaken bodies change their velocity in every frame; some of them are lost for a few frames."""

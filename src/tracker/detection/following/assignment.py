@@ -121,6 +121,9 @@ def _weigh(step: _Step, hits: PredictedHits, near: Ints) -> tuple[Array, Ints]:
     variance = free.cov[:, 0] + noise.position**2
     variance[~old] = np.minimum(variance[~old], 1 / (2 * np.pi * noise.false_density))  # it is seen in the picture
     best = alone[:, None] + _log_density(off, variance)
+    if noise.usual_share > 0:
+        usual = _log_density(off[~old], np.full((~old).sum(), (noise.usual_step * frames) ** 2 + noise.position**2))
+        best[~old] = np.logaddexp(np.log(noise.usual_share) + usual, np.log(1 - noise.usual_share) + best[~old])
     best[~old] = np.where(off[~old] < (noise.reach * frames) ** 2, best[~old] + noise.log_new, -np.inf)
     total, kind = best, np.full(near.shape, -1)
     unhit_for = step.unhit_frames

@@ -40,6 +40,8 @@ class MotionNoise:
     restitution: float
     false_density: float  # false detections and balls that appear, per px^2 and frame
     fall: tuple[float, float] = (0.0, 0.0)  # acceleration that all balls have, px per frame^2
+    usual_step: float = 0.0  # px per frame: size along an axis of the first step of the share `usual_share` of balls
+    usual_share: float = 0.0
     bounds: tuple[float, float, float, float] = UNBOUNDED
     """Left, top, right and bottom of what balls ever reach, px: there may be walls."""
     bend: float = 0.03  # change of a velocity in a frame, as a share of it

@@ -20,6 +20,8 @@ class ShownMotion:
     position_error: float  # px, along an axis
     acceleration: float = 0.0  # typical one along an axis, px per frame^2, beyond that of all
     fall: tuple[float, float] = (0.0, 0.0)  # acceleration that all balls have
+    step: float = 0.0  # which 19 of 20 steps beyond doubt do not exceed, px per frame
+    usual_share: float = 0.0  # share of steps beyond doubt
 
 
 def measure_motion(glints: Glints, claimed_error: float) -> ShownMotion:
@@ -31,9 +33,10 @@ def measure_motion(glints: Glints, claimed_error: float) -> ShownMotion:
     farther.
     """
     least_steps, clear_sigma, clear_excess = 10, 5.0, 1.5
-    turns = _find_turns(glints)
+    turns, steps = _find_turns(glints)
+    step, share = _find_usual_step(steps)
     if len(turns) < least_steps:
-        return ShownMotion(claimed_error)
+        return ShownMotion(claimed_error, step=step, usual_share=share)
     fall = np.median(turns[:, 0], axis=0)
     scatter = max(_measure_spread(turns[:, 0] - fall), claimed_error)
     if np.hypot(*fall) < clear_sigma * 1.25 * scatter / np.sqrt(len(turns)):
@@ -49,7 +52,20 @@ def measure_motion(glints: Glints, claimed_error: float) -> ShownMotion:
         if 6 * square > 0.5 * spread**2 and square > (clear_excess * claimed_error) ** 2:
             error = float(np.sqrt(square))
     acceleration = float(np.sqrt(max(spread**2 - 6 * error**2, 0.0)))
-    return ShownMotion(error, acceleration, (float(fall[0]), float(fall[1])))
+    return ShownMotion(error, acceleration, (float(fall[0]), float(fall[1])), step, share)
+
+
+def _find_usual_step(steps: Array) -> tuple[float, float]:
+    """The step and the share of steps of `ShownMotion`, by lengths (n,), px per frame, NaN in doubt.
+
+    Two thirds of all steps or more must be beyond doubt. Otherwise fast balls are in doubt, and the others are slower
+    than usual.
+    """
+    least_steps, least_share, most_share, quantile = 30, 2 / 3, 0.9, 0.95
+    clear = steps[np.isfinite(steps)]
+    if len(clear) < max(least_steps, least_share * len(steps)):
+        return 0.0, 0.0
+    return float(np.quantile(clear, quantile)), min(len(clear) / len(steps), most_share)
 
 
 def _measure_spread(values: Array) -> float:
@@ -57,8 +73,11 @@ def _measure_spread(values: Array) -> float:
     return float(np.median(np.hypot(*values.T)) / np.sqrt(2 * np.log(2)))
 
 
-def _find_turns(glints: Glints) -> Array:
-    """Changes of velocity (n, 2, 2), px per frame^2, each and the next one; NaN where the next is not clear."""
+def _find_turns(glints: Glints) -> tuple[Array, Array]:
+    """Changes of velocity (n, 2, 2), px per frame^2, each and the next one, NaN where the next is not clear.
+
+    The second value has the lengths of the steps of many bodies, px per frame, NaN where they are not clear.
+    """
     least_frames, most_frames, enough_positions = 8, 40, 4000  # many bodies in few frames show as much
     least_bodies, steady_share = 3, 0.5  # two bodies may be exchanged; change of a lone one's velocity over the sum
     order = np.argsort(glints.frame, kind="stable")
@@ -66,22 +85,24 @@ def _find_turns(glints: Glints) -> Array:
     ends, xy = starts + bodies, glints.xy
     wanted = min(max(least_frames, enough_positions * len(seen) // max(len(glints), 1)), most_frames)
     turns, lone, change, total = [np.empty((0, 2, 2))], list[Array](), list[float](), list[float]()
+    lengths = [np.empty(0)]
     for k in pick_spread(range(len(seen) - 2), wanted) if len(seen) > 2 else []:
         counts = bodies[k : k + 3].tolist()
         if min(counts) < least_bodies and max(counts) > 1:
             continue
         places = [xy[order[start:end]] for start, end in zip(starts[k : k + 4], ends[k : k + 4], strict=True)]
         times = np.diff(seen[k : k + 4])
+        steps = _chain_steps(places, times)
         if min(counts) >= least_bodies:
-            turns.append(_measure_turns(_chain_steps(places, times), times))
+            turns.append(_measure_turns(steps, times))
+            lengths.append(np.hypot(*steps[0].T))
         else:
-            steps = _chain_steps(places, times)
             lone.append(_measure_turns(steps, times))
             change.append(float(np.hypot(*(steps[1] - steps[0])[0])))
             total.append(float(np.hypot(*(steps[1] + steps[0])[0])))
     if lone and np.median(change) < steady_share * np.median(total):  # specks that come and go are alone too
         turns += lone
-    return np.concatenate(turns)
+    return np.concatenate(turns), np.concatenate(lengths)
 
 
 def _chain_steps(places: Sequence[Array], times: Ints) -> list[Array]:
