@@ -102,9 +102,14 @@ class ModelFit:
         return [self.names.index(n) for n in names]
 
     def step_bounds(self) -> tuple[Array, Array]:
-        """Bounds (S,) and (S,) of a step: the distances of the shared parameters from their limits."""
+        """Bounds (S,) and (S,) of a step: the distances of the shared parameters from their limits.
+
+        The sliding friction keeps its half or more. Without any, no ball slides, and no later step brings it back.
+        """
+        values = self.values()
         low, high = np.array([parameter_limits(self.model, n) for n in self.names]).reshape(-1, 2).T
-        return low - self.values(), high - self.values()
+        keeps = np.array([name == "sliding_friction" for name in self.names], dtype=bool)
+        return np.where(keeps, np.maximum(low, values / 2), low) - values, high - values
 
     def subtract(self, moves: Sequence[Array], coefs: Array) -> ModelFit:
         """The fit with columns (2n, k) of each clip, times coefficients (k,), subtracted from its residuals."""

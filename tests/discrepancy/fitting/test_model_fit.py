@@ -41,3 +41,9 @@ def test_what_is_fitted_beside_the_base_is_given_by_effect():
     every = FIT.extend(Model(), ["plate_tilt.x", "gravity", "plate_tilt.y"], [np.ones((len(c), 3)) for c in COLUMNS])
     assert every.added_names(FIT) == {"plate_tilt": ["plate_tilt.x", "plate_tilt.y"], "gravity": ["gravity"]}
     assert every.drop(Model(), ["gravity", "plate_tilt.x", "plate_tilt.y"]).names == FIT.names
+
+
+def test_no_step_takes_all_sliding_friction_away():
+    """From 0 no later step would bring it back, since no launch could slide."""
+    less, _ = FIT.step_bounds()
+    assert less[BASE_PARAMETERS.index("sliding_friction")] == pytest.approx(-Model().sliding_friction / 2)
