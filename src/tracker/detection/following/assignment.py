@@ -123,7 +123,7 @@ def _weigh(step: _Step, hits: PredictedHits, near: Ints) -> tuple[Array, Ints]:
     best = alone[:, None] + _log_density(off, variance)
     if noise.usual_share > 0:
         usual = _log_density(off[~old], np.full((~old).sum(), (noise.usual_step * frames) ** 2 + noise.position**2))
-        best[~old] = np.logaddexp(np.log(noise.usual_share) + usual, np.log(1 - noise.usual_share) + best[~old])
+        best[~old] = np.logaddexp(best[~old], np.log(noise.usual_share) + usual)  # faster ones keep their chance
     best[~old] = np.where(off[~old] < (noise.reach * frames) ** 2, best[~old] + noise.log_new, -np.inf)
     total, kind = best, np.full(near.shape, -1)
     unhit_for = step.unhit_frames
