@@ -79,7 +79,9 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
     flags = Counter(flag for row in estimates["flags"] for flag in row.split("|") if flag)
     for name, count in sorted(flags.items()):
         flagged = estimates[[name in text.split("|") for text in estimates["flags"]]]
-        duration = f"{1e3 * flagged['contact_duration_s'].median():.3g} ms" + (" (median)" if len(flagged) > 1 else "")
+        by_fit = flagged["contact_duration_s"]
+        seconds = flagged.get("contact_duration_local", by_fit).fillna(by_fit).median()
+        duration = f"{1e3 * seconds:.3g} ms" + (" (median)" if len(flagged) > 1 else "")
         text = _EXPLANATIONS.get(name, "").format(duration=duration, frames=_name_frames(flagged))
         notes.append(Note(NoteKind.FLAG, f"{name} ({_count(count)}): {text}"))
     ratio = estimates["noise_ratio"].dropna().to_numpy(float)

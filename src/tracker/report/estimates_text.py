@@ -192,14 +192,17 @@ def is_straight(row: Mapping[str, Any]) -> bool:
 def describe_contact(row: Mapping[str, Any]) -> str:
     """Say in the text how long a measured contact lasts; "" of one that takes no time."""
     lines = list[str]()
+    if _is_known(row, "contact_duration_local"):
+        time = format_with_error(*(1e3 * row[f"contact_duration_local{end}"] for end in ("", "_std")))
+        lines.append(f"By the bend of their paths the bodies push each other for {time} ms, whatever their diameter")
     if _is_known(row, "contact_duration_s"):
         time = format_with_error(*(1e3 * row[f"contact_duration_s{end}"] for end in ("", "_std")))
         frames = f"the fits leave out frames {row['contact_first']:.0f} to {row['contact_last']:.0f}"
         sure = ", if ball_diameter is right" if Flag.LASTS_OR_SMALLER in row["flags"].split("|") else ""
-        lines.append(f"The contact lasts {time} ms{sure}; {frames}")
-    if _is_known(row, "contact_duration_local"):
-        time = format_with_error(*(1e3 * row[f"contact_duration_local{end}"] for end in ("", "_std")))
-        lines.append(f"By the bend of their paths the bodies push each other for {time} ms, whatever their diameter")
+        if row["status"] == MISFIT:
+            lines.append(f"The fit that the tracks reject takes {1e3 * row['contact_duration_s']:.3g} ms; {frames}")
+        else:
+            lines.append(f"The contact lasts {time} ms{sure}; {frames}")
     return ". ".join(lines)
 
 

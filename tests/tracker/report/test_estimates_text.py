@@ -12,6 +12,7 @@ from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.estimates_text import (
     METHODS,
     OF_ONE_BALL,
+    describe_contact,
     describe_rolling,
     describe_status,
     explain_dashes,
@@ -129,3 +130,13 @@ def test_what_was_not_measured_is_said():
     assert describe_status(nothing) == "No two balls touch"
     assert "rolling loss" in rolling
     assert "restitution" not in rolling
+
+
+def test_a_rejected_fit_claims_no_duration_beside_the_one_by_the_bend_of_the_paths():
+    row = {"status": "misfit", "flags": "contact lasts", "contact_first": 119.0, "contact_last": 122.0}
+    row |= {"contact_duration_s": 0.0073, "contact_duration_s_std": 0.0001}
+    row |= {"contact_duration_local": 0.0236, "contact_duration_local_std": 0.0016}
+    text = describe_contact(row)
+    assert text.startswith("By the bend of their paths the bodies push each other for 23.6(16) ms")
+    assert "The fit that the tracks reject takes 7.3 ms; the fits leave out frames 119 to 122" in text
+    assert "The contact lasts 7.30(10) ms" in describe_contact(row | {"status": "ok"})
