@@ -24,7 +24,7 @@ each set says what was put in, what was named, and with which value. Free stretc
 recordings, as the effect `clock_error` proves: there the right answer is to name nothing.
 
 A run that was stopped continues: sets whose line the output has are not searched again. Each line says by which commit
-it was made. The tables of docs/real_tracks.md are printed at the end, or from an output with --table.
+it was made. The tables of docs/background/real_causes.md are printed at the end, or from an output with --table.
 
 --minutes is the limit of a search by the clock. A busy machine may reach it, and the search then names nothing. Such a
 line says `cut_short`, the table counts it as not named, and a run that continues searches that set again.
