@@ -282,7 +282,9 @@ def describe_gap(gap: Gap, unit: EvidenceUnit) -> str:
 
 
 def describe_small_closure(gap: Gap, unit: EvidenceUnit, most: float = 0.5) -> str:
-    """Describe, as a warning, claims that close less than the share `most` of a significant gap; else empty."""
+    """Describe, as a warning, claims that close less than the share `most` of the gap, if there is one; else empty."""
+    if math.isnan(gap.closure):
+        return f"The base model already predicts held-out {unit} within the noise, so what follows is a small effect."
     if not gap.closure < most:
         return ""
     closed = f"close only {100 * max(gap.closure, 0.0):.0f} %" if gap.closure > 0 else "do not close any"

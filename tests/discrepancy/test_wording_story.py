@@ -62,6 +62,8 @@ def test_a_share_of_chance_is_not_told():
     gap = dataclasses.replace(found.gap, closure=float("nan"))
     none = dataclasses.replace(found, gap_fits=dataclasses.replace(found.gap_fits, gap=gap))
     assert write_story(none)[2].endswith("is too small to say what share of it the best model removes.")
+    assert none.sentence().startswith("The base model already predicts held-out collisions within the noise")
+    assert found.sentence().startswith("Missing effect:")
 
 
 def test_a_fit_that_did_not_converge_is_said():

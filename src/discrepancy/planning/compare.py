@@ -236,6 +236,9 @@ def advise_on_pair(one: Candidate, other: Candidate, found: Sequence[ComparedDes
     if best.cosine < min(policy.separated_cosine, as_filmed.cosine):
         falls = f"the cosine of their signatures falls from {as_filmed.cosine:.3f} to {best.cosine:.3f}"
         return f"To distinguish {pair}: {best.words}; {falls}."
+    if as_filmed.cosine < policy.separated_cosine:
+        already = f"the cosine of their signatures is {as_filmed.cosine:.3f}"
+        return f"To distinguish {pair}: more collisions like these; {already}."
     other_measurements = {  # by the law that an effect bends
         "camera": "film a plate of known lengths with the same camera",
         "measure": "film balls at rest at known positions, or move the lamp",

@@ -69,7 +69,7 @@ def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Not
         text = (
             f"{len(rejected)} of {_count(measured)} {'do' if len(rejected) != 1 else 'does'} not fit the model"
             f" (median chi2/dof {median:.3g}).\n"
-            "  Likely causes, the most frequent first: the compression of a video, bodies that do not roll, a"
+            "  Likely causes, the most frequent first: in a video its compression; bodies that do not roll, a"
             " wrong scale, a tilted plate, unequal balls, a striker that slides or spins.\n"
             f"  The values of their tied fits are indicative and carry no errors.{have}"
             f" To find the cause: discrepancy find {results} --model MODEL"

@@ -46,8 +46,9 @@ class CollisionView:
     def parameters(self) -> Array:
         """Parameters of the tied fit, (16,); NaN among them if it has no such values."""
         r = self.row
-        launch = [r["t_c"], r["x1"], r["y1"], r["heading"], np.arcsin(r["b"]), r["v0"], r["drag"], r["decel"]]
-        log_mu_k = np.log(r["mu_k"]) if r["mu_k"] > 0 else np.nan  # an average over fits of a misfit may be negative
+        beta = np.arcsin(r["b"]) if abs(r["b"]) <= 1 else np.nan  # an average over fits of a misfit may be beyond 1
+        launch = [r["t_c"], r["x1"], r["y1"], r["heading"], beta, r["v0"], r["drag"], r["decel"]]
+        log_mu_k = np.log(r["mu_k"]) if r["mu_k"] > 0 else np.nan  # or negative
         return np.array([*launch, r["r"], log_mu_k, r["C"], *(r[k] for k in BEFORE)], dtype=np.float64)
 
     @property

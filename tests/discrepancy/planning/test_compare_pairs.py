@@ -58,6 +58,12 @@ def test_nothing_parts_an_effect_from_one_that_the_fit_absorbs():
     assert said.startswith("No collisions of two balls distinguish ")
 
 
+def test_effects_that_differ_already_need_more_of_the_same():
+    pair = CANDIDATES["friction_mismatch"], CANDIDATES["stribeck"]
+    said = advise_on_pair(*pair, [ComparedDesign("these collisions", 0.27), ComparedDesign("longer films", 0.6)])
+    assert said.startswith("To distinguish friction_mismatch and stribeck: more collisions like these")
+
+
 @pytest.mark.parametrize(("cosine", "parted"), [(0.87, True), (0.93, False)])
 def test_two_effects_are_parted_under_nine_tenths(cosine, parted):
     pair = CANDIDATES["hop"], CANDIDATES["mass_mismatch"]

@@ -14,7 +14,7 @@ from tracker import pipeline
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.recording import Result, measure_tracks
-from tracker.report.collision_figures import CollisionView
+from tracker.report.collision_figures import CollisionView, view_collision
 from tracker.report.refusals import MISFITS, draw_misfit, is_misfit_clip
 
 
@@ -57,6 +57,12 @@ def test_a_contact_that_lasts_shows_no_residuals(found):
     row = found.rows[0] | {"contact_first": 19, "contact_last": 21}
     assert not CollisionView.of(pd.Series(row), found.found, found.camera).is_instantaneous
     assert "shows no residuals" in str(draw_misfit(found.found, found.camera, [row], 0).note)
+
+
+@pytest.mark.parametrize(("name", "value"), [("b", -1.002), ("mu_k", -0.1)])
+def test_a_mean_of_fits_that_is_no_value_of_the_model_shows_no_residuals(found, name, value):
+    assert view_collision(found.rows[0], found.found, found.camera)
+    assert view_collision(found.rows[0] | {name: value}, found.found, found.camera) is None
 
 
 def test_measure_writes_one_for_each_clip_and_one_note(clip, found, tmp_path, monkeypatch):
