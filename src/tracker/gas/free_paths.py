@@ -196,6 +196,7 @@ def _doubt_sides(paths: Sequence[FreePath], contacts: pd.DataFrame) -> list[Free
     """Add the frames of which it is not sure whether a contact comes before or after them.
 
     The velocity of one ball there may be off by its kick. But two balls exchange that energy, and a wall returns it.
+    Where a hidden slide leaves the velocity at the contact unknown, that of the nearest position stands for it.
     """
     if "t_s_std" not in contacts:
         return list(paths)
@@ -205,8 +206,7 @@ def _doubt_sides(paths: Sequence[FreePath], contacts: pd.DataFrame) -> list[Free
         if path.start < 0 or (path.ball, path.start) not in after:
             continue
         earlier, contact = after[path.ball, path.start], path.start
-        one, two = out[earlier].velocities, path.velocities
-        change = float(((one.even[-1] + one.odd[-1]) ** 2 - (two.even[-2] + two.odd[-2]) ** 2).sum()) / 4
+        change = _square_beside(out[earlier].velocities, after=False) - _square_beside(path.velocities, after=True)
         for number, row, sign in ((k, 0, 1.0), (earlier, -1, -1.0)):
             own = out[number]
             chance = float(ndtr(-abs(own.time[row] - path.start_time) / max(std[contact], 1e-9)))
@@ -214,6 +214,14 @@ def _doubt_sides(paths: Sequence[FreePath], contacts: pd.DataFrame) -> list[Free
                 side = SideOfContact(int(own.frame[row]), contact, sign * change, chance)
                 out[number] = replace(own, sides=(*own.sides, side))
     return out
+
+
+def _square_beside(velocities: HalfVelocities, *, after: bool) -> float:
+    """The square of the known velocity of a path nearest to the contact after which it starts, or at which it ends."""
+    mean = (velocities.even + velocities.odd) / 2
+    nearest = np.vstack([mean[-2], mean[:-2]] if after else [mean[-1], mean[-3::-1]])
+    square = (nearest[np.isfinite(nearest[:, 0])] ** 2).sum(axis=1)
+    return float(square[0]) if len(square) else np.nan
 
 
 def sum_sides(paths: Sequence[FreePath]) -> pd.DataFrame:

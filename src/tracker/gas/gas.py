@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from synthcam_shared.arrays import Array
+from synthcam_shared.arrays import Array, Ints
 from synthcam_shared.errors import InputError
 from tracker.gas.contact_groups import count_hidden_rows
 from tracker.gas.energy import SINKS, measure_losses
@@ -105,7 +105,7 @@ def measure_gas(
     time = measure_temperatures(table, noise, paths, hidden) if len(table) else table
     if not len(time):
         raise InputError(f"a gas has {MIN_BALLS} balls or more in view; no frame here has so many with a velocity")
-    time.insert(1, "t_s", time["frame"] / camera.fps)
+    time.insert(1, "t_s", _find_frame_times(balls, time["frame"].to_numpy()))
     time = time.join(measure_losses(paths, contacts, time["frame"].to_numpy(), noise, 1 / camera.fps))
     positions, frames = np.concatenate([b.position for b in balls]), np.concatenate([b.frame for b in balls])
     left, bottom, right, top = area or map(float, (*positions.min(axis=0), *positions.max(axis=0)))
@@ -132,6 +132,12 @@ def measure_gas(
         area=(left, bottom, right, top),
         diameter=camera.diameter,
     )
+
+
+def _find_frame_times(balls: Sequence[BallTrack], frames: Ints) -> Array:
+    """The middle of the exposure of each frame, s; of a rolling shutter, the mean over the balls in view."""
+    every = pd.DataFrame({name: np.concatenate([getattr(b, name) for b in balls]) for name in ("frame", "time")})
+    return every.groupby("frame")["time"].mean()[frames].to_numpy()
 
 
 def sort_contacts(contacts: pd.DataFrame) -> pd.DataFrame:

@@ -48,6 +48,21 @@ def test_the_velocity_after_a_contact_is_that_of_the_slide_also_beside_a_kink_th
     assert starts[0].usable
 
 
+def test_a_frame_beside_a_contact_is_doubted_also_if_the_slide_hides_the_velocity_there():
+    """A ball bounces with 0.4 of 0.5 m/s, and its slide is too short for the rows. The bounce may precede frame 20."""
+    frame = np.arange(40)
+    time, cov = frame / FPS, np.tile(np.eye(2) * NOISE**2, (40, 1, 1))
+    since = time - CONTACT
+    path = np.column_stack([np.where(since < 0, 0.5, -0.4) * since, np.zeros(40)])
+    ball = BallTrack(particle=0, frame=frame, start=time, position=path, cov=cov, exposure=0.0)
+    contacts = pd.DataFrame({"t_s": [CONTACT], "t_s_std": 1e-3, "particle1": 0, "particle2": -1})
+    before, after = cut_free_paths([ball], contacts, PathCuts(10, np.full(1, 1e-3), 2.5 / FPS, NOISE, slides=True))
+    assert np.isnan(after.velocities.even[-2, 0])
+    (side,) = before.sides
+    assert side.frame == 20
+    assert side.change == pytest.approx(0.4**2 - 0.5**2)
+
+
 def test_a_straight_line_between_contacts_is_too_slow_and_nothing_else():
     """One position between contacts 3 ms apart, at 1 m/s. Positions within 1 ms of a contact do not count."""
     frame = np.arange(40)

@@ -33,6 +33,10 @@ def test_times_and_expected_contacts_are_those_of_the_frame_rate_and_the_diamete
     assert gas.values["contacts_theory"] == pytest.approx(3 / 2 * rate * FRAMES / 250, rel=0.01)
 
 
+def test_a_frame_has_the_time_at_which_its_velocities_hold_the_middle_of_its_exposure():
+    np.testing.assert_allclose(observe(exposure=2e-3).time["t_s"], np.arange(FRAMES) / 250 + 1e-3)
+
+
 @pytest.mark.parametrize(
     ("key", "of_temperature", "of_contacts"),
     [("scale", 2, 1), ("fps", 2, 0), ("ball_diameter", 0, 1)],
