@@ -10,7 +10,7 @@ of a hop over the predicted one. `benchmarks.real.contact_laws` explains the fit
 Then each hit is simulated by known laws: the same launches, impact parameters and frames, and the scatter and errors
 that docs/real_tracks.md gives. The tracker measures these hits, and the search chooses the laws of their contacts, as
 of the real ones. A line for each law and draw has what the search names, and by how much the true law is likelier than
-a simpler one. A run that was stopped continues.
+a simpler one. docs/background/contact_laws.md has both tables. A run that was stopped continues.
 """
 
 from __future__ import annotations
