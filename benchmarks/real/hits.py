@@ -1,6 +1,6 @@
 """Local estimates of the hits of other laboratories: yield, and the balance of momentum on hits kept out.
 
-python -m benchmarks.real.hits CLONE [CLONE ...] [--tied] [-o out/real_hits.json]
+python -m benchmarks.real.hits CLONE [CLONE ...] [--tied] [--warp] [-o out/real_hits.json]
 make bench-hits CLONES="CLONE ..."
 
 Each CLONE is a clone of one of the repositories that `recordings` reads; its folder's name must contain that of the
@@ -12,7 +12,9 @@ repository. The table gives for each laboratory:
   are by the prior of one recording, fitted to all hits, or fitted to the other half of the hits, over eight random
   splits.
 
-With --tied the tied and free fits are made too, some five seconds a hit, and the recommendations are counted.
+With --tied the tied and free fits are made too, some five seconds a hit, and the recommendations are counted. With
+--warp each eighth of the hits is corrected by the camera's map that the free motion in all others shows. The balance of
+momentum has no part in that map, so it tests the correction.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import argparse
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +35,10 @@ import numpy as np
 
 import tracker
 from benchmarks.harness import save
-from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, read_pucks
+from benchmarks.real.recordings import RecordedHit, read_balls, read_billiards, read_discs, read_pucks
+from synthcam_shared.errors import InputError
+from tracker.calibration.camera_warp import VALIDATION_FOLDS, fit_camera_warp
+from tracker.calibration.free_stretches import find_free_stretches
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import TOGETHER
 from tracker.measurement.collision.contacts import find_contacts, prepare_contact
@@ -108,7 +114,28 @@ def keep_halves_out(rows: Sequence[dict[str, Any]], splits: int = 8, seed: int =
     return {key: np.round(mean, 4).tolist() for key, mean in means.items()} | {"splits": splits}
 
 
-def run(clones: Sequence[Path], tied: bool) -> dict[str, Any]:
+def correct_map(hits: Sequence[RecordedHit]) -> list[RecordedHit]:
+    """Correct each eighth of the hits by the warp that the free stretches of all others show, if they show one."""
+    cameras = [Camera.of(hit.camera) for hit in hits]
+    read = [read_balls(hit, camera) for hit, camera in zip(hits, cameras, strict=True)]
+    stretches = [find_free_stretches(balls, c.ball_diameter) for balls, c in zip(read, cameras, strict=True)]
+    corrected = list(hits)
+    for fold in range(VALIDATION_FOLDS):
+        others = [one for k, one in enumerate(stretches) if k % VALIDATION_FOLDS != fold]
+        try:
+            found = fit_camera_warp(cameras[0], others)
+        except InputError as error:
+            print(error, flush=True)
+            continue
+        print(*found.summary(), sep="\n", flush=True)
+        warp = {"warp": found.to_dict()["warp"]}
+        corrected[fold::VALIDATION_FOLDS] = [
+            replace(hit, camera=hit.camera | warp) for hit in hits[fold::VALIDATION_FOLDS]
+        ]
+    return corrected
+
+
+def run(clones: Sequence[Path], tied: bool, warp: bool = False) -> dict[str, Any]:
     """Measure the hits of all clones."""
     out: dict[str, Any] = {}
     for clone in clones:
@@ -116,7 +143,8 @@ def run(clones: Sequence[Path], tied: bool) -> dict[str, Any]:
         if name is None:
             raise SystemExit(f"{clone}: expected a clone of {', '.join(READERS)}")
         support, read = READERS[name]
-        rows = [measure_hit(hit, support, tied) for hit in read(clone)]
+        hits = correct_map(read(clone)) if warp else read(clone)
+        rows = [measure_hit(hit, support, tied) for hit in hits]
         fitted = calibrate_set(rows)
         out[name] = {"prior": summarise(rows), "set": summarise(fitted), "held out": keep_halves_out(rows)}
         if tied:
@@ -141,11 +169,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("clones", nargs="*", type=Path, default=[Path(p) for p in os.environ.get("CLONES", "").split()])
     parser.add_argument("--tied", action="store_true")
+    parser.add_argument("--warp", action="store_true")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/real_hits.json"))
     given = parser.parse_args()
     if not given.clones:
         raise SystemExit(f"expected paths to clones of {', '.join(READERS)}")
-    save(given.output, run(given.clones, given.tied))
+    save(given.output, run(given.clones, given.tied, given.warp))
 
 
 if __name__ == "__main__":

@@ -22,6 +22,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tracker.camera.camera import Camera
+from tracker.measurement.positions import BallTrack, to_ball_tracks
+from tracker.tables.read import read_frame
+from tracker.tables.table_options import TableOptions
+
 Floats = NDArray[np.float64]
 
 
@@ -247,3 +252,9 @@ def _list_files(clone: Path, folder: str) -> list[str]:
 def to_table(hits: list[RecordedHit]) -> pd.DataFrame:
     """Join hits into one table, each a clip."""
     return pd.concat([hit.tracks.assign(clip=k) for k, hit in enumerate(hits)], ignore_index=True)
+
+
+def read_balls(hit: RecordedHit, camera: Camera) -> list[BallTrack]:
+    """Read the paths of the bodies of a hit with a camera, in m."""
+    ((tracks, _),) = read_frame(hit.tracks, hit.camera, TableOptions(unit="m")).clips.values()
+    return list(to_ball_tracks(tracks, camera))

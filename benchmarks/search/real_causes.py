@@ -52,15 +52,13 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
-from tracker.tables.table_options import TableOptions
-
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from benchmarks.real.hits import READERS, measure_hit
-from benchmarks.real.recordings import RecordedHit, read_billiards, read_discs, read_pucks
+from benchmarks.real.recordings import RecordedHit, read_balls, read_billiards, read_discs, read_pucks
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.contacts import Contacts
 from discrepancy.data.launch import T_C, V0
@@ -76,9 +74,8 @@ from tracker.calibration.camera_warp import fit_camera_warp
 from tracker.calibration.free_stretches import find_free_stretches
 from tracker.camera.camera import Camera
 from tracker.measurement.local.local_columns import calibrate_set
-from tracker.measurement.positions import BallTrack, to_ball_tracks
+from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import measure_path_noise
-from tracker.tables.read import read_frame
 
 TIMES = (5.0, 10.0)  # strengths, in detection limits
 LABORATORY_WORDS = {"3cushiontool": "billiards", "TIF083-Expfys1A": "pucks", "TIF083A": "discs"}
@@ -112,7 +109,7 @@ def read_clips(hits: Sequence[RecordedHit], warp_file: str | None) -> list[Measu
     """
     widths = [hit.camera["ball_diameter"] for hit in hits]  # discs differ; a search needs one width
     cameras = [Camera.of(hit.camera | {"ball_diameter": float(np.median(widths))}) for hit in hits]
-    every = [_read_balls(hit, camera) for hit, camera in zip(hits, cameras, strict=True)]
+    every = [read_balls(hit, camera) for hit, camera in zip(hits, cameras, strict=True)]
     clips = [_build(k, balls, camera) for k, (balls, camera) in enumerate(zip(every, cameras, strict=True))]
     if warp_file == "none":
         return clips
@@ -128,11 +125,6 @@ def read_clips(hits: Sequence[RecordedHit], warp_file: str | None) -> list[Measu
         print(error, flush=True)
         return clips
     return clips if warp is None else [replace(c, xy=c.xy + warp.displace(c.xy)[0]) for c in clips]
-
-
-def _read_balls(hit: RecordedHit, camera: Camera) -> list[BallTrack]:
-    ((tracks, _),) = read_frame(hit.tracks, hit.camera, TableOptions(unit="m")).clips.values()
-    return list(to_ball_tracks(tracks, camera))
 
 
 def _build(number: int, balls: Sequence[BallTrack], camera: Camera) -> MeasuredCollision:
