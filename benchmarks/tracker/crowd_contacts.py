@@ -13,7 +13,7 @@ standard error. Each column of contacts.parquet has its mean and rms z, and the 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -64,15 +64,13 @@ def measure_film(scene: str, number: int, *, rendered: bool = False) -> dict[str
     return counts | {"means": means, "rows": rows.to_dict("records")}
 
 
-def measure_true_positions(
-    clip: Clip, seed: int, known: Mapping[str, Any] | None = None, *, linked: bool = False
-) -> tracker.Result:
+def measure_true_positions(clip: Clip, seed: int, *, linked: bool = False) -> tracker.Result:
     """Measure the true positions of a clip with noise.
 
-    known: keys that a user adds to the camera file. linked: the tracker's linker numbers the balls, not the simulation.
+    linked: the tracker's linker numbers the balls, not the simulation.
     """
     rng = np.random.default_rng(seed)
-    true, camera = clip.tracks, clip.camera_json | dict(known or {})
+    true, camera = clip.tracks, clip.camera_json
     x, y = (true[f"{axis}_mean_px"] + NOISE_PX * rng.standard_normal(len(true)) for axis in "xy")
     table = true[["frame", "particle"]].assign(x=x, y=y, x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0)
     table = table[true.visible].reset_index(drop=True)

@@ -3,9 +3,8 @@
 python -m benchmarks.tracker.crowd_physics [SCENE ...] [--films 20] [--first 701] [--frames N] [-o OUT]
 
 Or `make bench-crowd-physics`. No film is rendered. The tracker's linker joins true positions with 0.05 px noise. Then
-come contacts, local estimates, their means over the film, and the gas. `pucks` are measured with `body` and `support`
-in the camera file. Long films are cut to `FRAMES`; `--frames 0` takes whole ones. A run that was stopped continues:
-films whose line OUTPUT.jsonl has are not measured again.
+come contacts, local estimates, their means over the film, and the gas. Long films are cut to `FRAMES`; `--frames 0`
+takes whole ones. A run that was stopped continues: films whose line OUTPUT.jsonl has are not measured again.
 
 z is a deviation over its standard error. 0 is right for its mean, 1 for its rms, and 0.95 for the share below 1.96.
 Energies are those at the last frame. The temperature counts in every frame.
@@ -32,7 +31,6 @@ from synthcam.scene.scene import Scene
 from tracker.measurement.crowd.contact_table import summarise_contacts
 
 FRAMES = {"crowd": 200, "cooling": 40, "break": 120, "pucks": 100, "dense": 6}  # of each film, by scene
-KNOWN = {"pucks": {"body": "disc", "support": "air"}}  # keys that a user adds to the camera file, by scene
 SINKS = ("lost_in_contacts", "lost_at_walls", "lost_to_plate")
 QUANTITIES = ("r", "mu_k", "rolling_loss", "rolling_drag", *SINKS, "temperature")
 
@@ -41,7 +39,7 @@ def measure_film(scene: str, seed: int, frames: int) -> dict[str, list[dict[str,
     """The values of one film by quantity: value, std and truth of each; frames: 0 for the whole film."""
     settings: dict[str, Any] = {"timing": {"frames": frames}} if frames else {}
     clip = Scene.read(scene, **settings).draw(seed=seed)
-    result = measure_true_positions(clip, seed, KNOWN.get(scene), linked=True)
+    result = measure_true_positions(clip, seed, linked=True)
     out: dict[str, list[dict[str, float]]] = {}
     for name, value, std, truth in _compare_film(clip, result):
         if np.isfinite(value) and std > 0 and truth != 0:  # without walls a scene loses nothing at them

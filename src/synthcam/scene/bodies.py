@@ -269,6 +269,21 @@ def list_kinds(drawn: dict[str, Any]) -> list[dict[str, Any]]:
     return kinds if isinstance(kinds, list) else [kinds] * len(drawn.get("launches") or ())
 
 
+def describe_bodies(drawn: dict[str, Any]) -> dict[str, Any]:
+    """Make the keys `body` and `support` of camera.json, where all have the same and are no solid balls on cloth.
+
+    An experimenter knows both, and they decide which laws of motion can be fitted.
+    """
+    kinds, known = list_kinds(drawn), dict[str, Any]()
+    inertias = {kind.get("inertia") or INERTIA[kind["shape"]] for kind in kinds}
+    if len(inertias) == 1 and (inertia := inertias.pop()) != INERTIA["solid"]:
+        known["body"] = "disc" if inertia == INERTIA["disc"] else inertia
+    supports = {(kind.get("support") or drawn["support"])["kind"] for kind in kinds}
+    if len(supports) == 1 and (support := supports.pop()) != "plate":
+        known["support"] = {"air": "air", "dry": "sliding"}[support]
+    return known
+
+
 def find_heights(drawn: dict[str, Any], where: str) -> Array:
     """Find the height (N,), m, of each disc; 0 of balls. All centres are level, so that all discs have one height.
 

@@ -27,7 +27,7 @@ from synthcam.dynamics.trajectory import Trajectory
 from synthcam.model import Model, build_model
 from synthcam.scene import ground_truth
 from synthcam.scene.apparatus import build_camera, build_lamp, build_surface, camera_json, find_video_problem
-from synthcam.scene.bodies import build_table, find_heights, list_kinds
+from synthcam.scene.bodies import build_table, describe_bodies, find_heights, list_kinds
 from synthcam.scene.film_time import FilmedMotion
 from synthcam.scene.groups import place_groups
 from synthcam.scene.materials import build_finish, build_varnish, list_screen_colours, make_discs_matte
@@ -276,7 +276,7 @@ class Clip:
     @property
     def camera_json(self) -> dict[str, Any]:
         """The experimenter's knowledge, with the keys of ``camera.json``; `tracker.track` takes it."""
-        return camera_json(self.nominal, self.drawn)
+        return camera_json(self.nominal, self.drawn) | describe_bodies(self.drawn)
 
     @property
     def truth(self) -> dict[str, float]:
@@ -356,7 +356,7 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
         camera=replace(
             model.laws("camera", nominal, {}),
             exposure=float(model.laws("exposure", nominal.exposure, {"fps": nominal.fps})),
-            camera_json=camera_json(nominal, drawn),
+            camera_json=camera_json(nominal, drawn) | describe_bodies(drawn),
         ),
         lamp=lamp,
         surface=build_surface(drawn["surface"]),

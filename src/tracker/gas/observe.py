@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,9 +17,14 @@ from tracker.gas.energy import SINKS
 from tracker.gas.gas import GasCamera, GasObservables, GasSettings, Rectangle, measure_gas
 from tracker.gas.gas_page import summarise_gas, write_gas
 from tracker.measurement.camera_errors import camera_errors
+from tracker.measurement.collision.adequacy import is_seen_to_glide
 from tracker.measurement.positions import to_ball_tracks
 from tracker.recording import Result
-from tracker.results import list_clips, read_clip, read_contact_table
+from tracker.results import list_clips, read_clip, read_contact_table, read_rows
+
+_GLIDING = (
+    "the tracks show bodies that glide, as on air; if that is right, write support: air (and body) into the camera file"
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,26 +121,30 @@ def observe_gas(
     """
     if isinstance(source, Result):
         name, tracks, camera, contacts = f"clip {source.number}", source.found, source.camera, source.contacts
+        rows: Sequence[Mapping[str, Any]] = source.rows
     else:
-        name, tracks, camera, contacts = _read(Path(source), number)
+        name, tracks, camera, contacts, rows = _read(Path(source), number)
     if not (camera.metric and camera.knows_diameter):
         raise InputError(f"{name}: the camera file has no scale or no ball_diameter; a gas needs both, and fps")
     balls, shares = to_ball_tracks(tracks, camera), {error.key: error.share for error in camera_errors(camera)}
     errors = [shares.get(key, 0.0) for key in ("scale", "fps", "ball_diameter")]
-    known = GasCamera(camera.ball_diameter, camera.fps, camera.glides, *errors)
+    glides = camera.glides or is_seen_to_glide(rows)
+    known = GasCamera(camera.ball_diameter, camera.fps, glides, *errors)
     gas = measure_gas(balls, contacts, known, area=_check_area(area), settings=settings)
-    return Gas(**vars(gas) | {"name": name, "notes": tuple(_limits(gas, camera))})
+    notes = _limits(gas, camera) + [_GLIDING] * (glides and not camera.glides)
+    return Gas(**vars(gas) | {"name": name, "notes": tuple(notes)})
 
 
-def _read(results: Path, number: int | None) -> tuple[str, Tracks, Camera, pd.DataFrame]:
-    """Read one clip of RESULTS: its name, tracks, camera and contacts."""
+def _read(results: Path, number: int | None) -> tuple[str, Tracks, Camera, pd.DataFrame, Sequence[Mapping[str, Any]]]:
+    """Read one clip of RESULTS: its name, tracks, camera, contacts, and rows of estimates."""
     numbers = list_clips(results)
     if number is None and len(numbers) > 1:
         raise InputError(f"{results}: {len(numbers)} clips; name one of {numbers[0]} to {numbers[-1]} by --clip")
     chosen = numbers[0] if number is None else number
     if chosen not in numbers:
         raise InputError(f"--clip {chosen}: not in {results}, which has {len(numbers)}, {numbers[0]} to {numbers[-1]}")
-    return f"{results.resolve().name}, clip {chosen}", *read_clip(results, chosen), read_contact_table(results, chosen)
+    name, contacts = f"{results.resolve().name}, clip {chosen}", read_contact_table(results, chosen)
+    return name, *read_clip(results, chosen), contacts, read_rows(results, chosen)
 
 
 def parse_area(text: str) -> list[float] | None:

@@ -79,7 +79,7 @@ from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, show
 from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.collision.noise_correlation import variance_of_residuals
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, StayingPair, find_staying_pairs
-from tracker.measurement.crowd.crowd_rows import estimate_contacts
+from tracker.measurement.crowd.crowd_rows import estimate_contacts, shows_gliding
 from tracker.measurement.crowd.track_contacts import find_track_contacts
 from tracker.measurement.joint_fit import fit_all_jointly
 from tracker.measurement.local.local_columns import make_empty_columns, make_local_columns
@@ -190,11 +190,15 @@ def _measure_balls(
 def _measure_crowd(balls: list[BallTrack], camera: Camera, settings: FitSettings) -> list[dict[str, Any]]:
     """A row for each contact of two balls, measured by the local estimate alone."""
     found, rows = find_track_contacts(balls, camera.ball_diameter, glides=camera.glides), []
+    seen_to_glide = not camera.support and shows_gliding(found, balls, camera, settings)
+    if seen_to_glide:  # contacts after which nothing slides lie elsewhere
+        camera = replace(camera, support="air")
+        found = find_track_contacts(balls, camera.ball_diameter, glides=True)
     pairs = [contact for contact in found if len(contact.balls) == 2]
     estimates = estimate_contacts(found, balls, camera, settings)
     for index, (seen, (contact, local)) in enumerate(zip(pairs, estimates, strict=True)):
         row = make_empty_row(camera, CROWD, index) | {"particle1": seen.one, "particle2": seen.other}
-        row |= {"t_c": seen.time, "t_c_std": seen.time_std}
+        row |= {"t_c": seen.time, "t_c_std": seen.time_std, "flags": str(Flag.GLIDES) if seen_to_glide else ""}
         if contact is not None:
             row |= _name_balls(contact.pair.struck, contact.pair.striker)
         row |= _noise_columns(balls[0], camera) | make_local_columns(local, settings=settings)

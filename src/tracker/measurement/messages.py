@@ -42,6 +42,8 @@ _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
     "dented, or the plate is uneven or slopes. The local estimate needs no common loss",
     Flag.FRICTION_CHANGES: "one friction for all speeds of slip does not fit, though all else does: the plate is oily, "
     "or friction falls with the speed. The local estimate needs no common friction",
+    Flag.GLIDES: "many hits of this film fit only bodies that glide, as on air. So no hit has a friction or a slide. "
+    "If that is right, write support: air (and body) into the camera file; if the bodies roll, support: cloth",
     Flag.STRAIGHT: "the balls move straight after the hit: r is that of straight lines, and nothing shows friction",
 }
 _BROKEN_LAWS = frozenset((Flag.LASTS_OR_SMALLER, Flag.LOSSES_DIFFER, Flag.FRICTION_CHANGES))

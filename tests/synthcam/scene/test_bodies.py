@@ -13,6 +13,7 @@ from synthcam.scene.bodies import MAX_BODIES, _find_overlap
 from synthcam.scene.scene import Scene, check_scene
 from synthcam.scene.table_drawing import TWO_BALLS
 from synthcam_shared.errors import InputError
+from tracker.camera.camera import Camera
 
 TRAY = {
     "launches": [{"position": [-0.01, 0.0], "velocity": [0.3, 0.0]}, {"position": [0.01, 0.0]}],
@@ -77,6 +78,25 @@ def test_bodies_have_what_their_entries_say():
     np.testing.assert_allclose(own.mass, [2500 * np.pi / 6 * 4e-3**3, 1.5e-3])
     np.testing.assert_allclose(own.inertia, [0.4, 0.5])
     assert clip.table.supports == (None, Air(decel=0.1))
+
+
+@pytest.mark.parametrize(
+    ("change", "known"),
+    [
+        ({}, {}),
+        ({"bodies": {"shape": "disc"}, "support": {"kind": "air"}}, {"body": "disc", "support": "air"}),
+        ({"bodies": {"shape": "disc"}, "support": {"kind": "dry"}}, {"body": "disc", "support": "sliding"}),
+        ({"bodies": {"shape": "shell"}}, {"body": 2 / 3}),
+        ({"bodies": [{}, {"shape": "disc", "support": {"kind": "air"}}]}, {}),  # no key can say it of one of them
+    ],
+)
+def test_the_camera_file_says_what_the_bodies_are_and_what_carries_them(change, known):
+    written = check_scene(TRAY | change, "scene").draw().camera_json
+    assert {key: written[key] for key in ("body", "support") if key in written} == known
+    inertia = {"disc": 0.5, "ball": 0.4}
+    body = known.get("body", "ball")
+    assert Camera.from_dict(written).body == inertia.get(body, body)
+    assert Camera.from_dict(written).support == known.get("support", "")
 
 
 def test_a_ball_starts_in_the_air_or_without_rolling():

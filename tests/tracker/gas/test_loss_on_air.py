@@ -64,7 +64,7 @@ def test_pucks_lose_to_the_air_what_the_simulation_says():
     clip = synthcam.Scene.read("pucks").draw(seed=606)  # without the law it was 0.66 of 0.30 m^2/s^2
     x, y = (clip.tracks[f"{axis}_mean_px"] + 0.05 * np.random.default_rng(1).standard_normal(2000) for axis in "xy")
     table = clip.tracks[["frame", "particle"]].assign(x=x, y=y, x_std=0.05, y_std=0.05, cov_xy=0.0)
-    gas = tracker.observe_gas(tracker.measure(table, clip.camera_json | {"body": "disc", "support": "air"}))
+    gas = tracker.observe_gas(tracker.measure(table, clip.camera_json))
     speed = np.hypot(clip.tracks["vx"], clip.tracks["vy"]).to_numpy()
     power = pd.Series(speed * (0.02 + 0.05 * speed)).groupby(clip.tracks["frame"].to_numpy()).sum()
     truth = float((power[1:].to_numpy() + power[:-1].to_numpy()).sum() / 2 / 100)

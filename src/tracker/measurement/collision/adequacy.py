@@ -16,7 +16,7 @@ from tracker.settings import FitSettings
 MISFIT = "misfit"
 TOGETHER = "stay_together"
 CROWD = "crowd"
-GLIDE = "glide"  # in the column motion_local
+GLIDE, ROLL = "glide", "slide and roll"  # in the column motion_local
 HIDDEN_SLIDE = (
     "the contact lasts as long as the balls may slide: it hides how they part; check the unit of positions, scale, fps"
 )
@@ -53,6 +53,7 @@ class Flag(StrEnum):
     ENCODED = "encoded with loss"
     LOSSES_DIFFER = "rolling losses differ"
     FRICTION_CHANGES = "friction changes with speed"
+    GLIDES = "bodies glide"
 
     @property
     def is_impossible(self) -> bool:
@@ -143,6 +144,11 @@ def flag_contact_distance(distance: float, std: float, settings: FitSettings) ->
 def describe_failure(error: Exception) -> str:
     """Describe, as the status of a collision, that the arithmetic of its fit failed, and how."""
     return f"the fit failed: {(str(error).splitlines() or [type(error).__name__])[0][:80]}"
+
+
+def is_seen_to_glide(rows: Sequence[Mapping[str, Any]]) -> bool:
+    """Decide whether the tracks of a crowd show that its bodies glide, which the camera file does not say."""
+    return any(Flag.GLIDES in str(row.get("flags", "")).split("|") for row in rows)
 
 
 def find_gliding_hits(

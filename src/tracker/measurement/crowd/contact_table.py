@@ -13,6 +13,7 @@ from synthcam_shared.arrays import Array
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.camera_errors import shared_effects
+from tracker.measurement.collision.adequacy import is_seen_to_glide
 from tracker.measurement.crowd.track_contacts import NO_BALL, TrackContact, find_track_contacts
 from tracker.measurement.local.local_columns import find_covariance
 from tracker.measurement.local.local_estimate import LOCAL_NAMES
@@ -36,7 +37,8 @@ def tabulate_contacts(tracks: Tracks, camera: Camera, rows: Sequence[Mapping[str
     """
     if not (camera.metric and camera.knows_diameter) or len(np.unique(tracks.particle)) < 3:
         return pd.DataFrame(columns=list(TABLE_COLUMNS))
-    found = find_track_contacts(to_ball_tracks(tracks, camera), camera.ball_diameter, glides=camera.glides)
+    glides = camera.glides or is_seen_to_glide(rows)
+    found = find_track_contacts(to_ball_tracks(tracks, camera), camera.ball_diameter, glides=glides)
     out = [
         {"contact": number} | _describe(contact) | _measure(_find_row(contact, rows, 3.0 / camera.fps))
         for number, contact in enumerate(found)

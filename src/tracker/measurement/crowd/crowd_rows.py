@@ -13,7 +13,7 @@ from synthcam_shared.arrays import Array
 from synthcam_shared.steps import report_step
 from tracker.camera.camera import Camera
 from tracker.camera.camera_json import BODIES
-from tracker.measurement.collision.adequacy import describe_failure
+from tracker.measurement.collision.adequacy import GLIDE, ROLL, describe_failure, find_gliding_hits
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import Contact, ContactCandidate, prepare_contact
 from tracker.measurement.crowd.track_contacts import TrackContact
@@ -57,8 +57,7 @@ def estimate_contacts(
     if not camera.support and camera.body == BODIES["ball"]:
         known = replace(camera, support="cloth")  # contacts of slow balls hide that they slide
     pairs = [contact for contact in found if len(contact.balls) == 2]
-    seen_slides = [-_seen_slide(c, found, settings) for c in pairs]
-    longest = np.argsort(seen_slides, kind="stable")[:most_frictions].tolist()
+    longest = _sort_by_slide(pairs, found, settings)[:most_frictions]
 
     def estimate_all(numbers: Sequence[int], settings: FitSettings, done: int) -> _Estimates:
         """The estimates of these pairs by number; done: contacts that were estimated before."""
@@ -86,6 +85,31 @@ def estimate_contacts(
         own = first[k][1] if k in first else each if used is settings else SHORT_SLIDE
         out.append((contact, _share_friction(each, own, used, error)))
     return out
+
+
+def shows_gliding(
+    found: Sequence[TrackContact],
+    balls: Sequence[BallTrack],
+    camera: Camera,
+    settings: FitSettings,
+    *,
+    most: int = 30,
+) -> bool:
+    """Decide whether the bodies of a crowd glide, by the contacts after which a slide would be seen best.
+
+    found: contacts of the film as of bodies that slide. camera: does not say what carries the bodies. most: contacts
+    that are asked.
+    """
+    tracks, pairs = {ball.particle: ball for ball in balls}, [contact for contact in found if len(contact.balls) == 2]
+    asked = _sort_by_slide(pairs, found, settings)[:most]
+    fits = run_together([_estimate_in_steps(pairs[k], found, tracks, camera, settings) for k in asked])
+    estimates = [each for _, each in fits if isinstance(each, LocalEstimate)]
+    return bool(find_gliding_hits([{"motion_local": GLIDE if each.glides else ROLL} for each in estimates]))
+
+
+def _sort_by_slide(pairs: Sequence[TrackContact], found: Sequence[TrackContact], settings: FitSettings) -> list[int]:
+    """The numbers of contacts of two balls, those with the longest slides first."""
+    return sorted(range(len(pairs)), key=lambda k: -_seen_slide(pairs[k], found, settings))
 
 
 def _share_friction(

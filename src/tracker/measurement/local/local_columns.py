@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from synthcam_shared.arrays import Array
-from tracker.measurement.collision.adequacy import CROWD, GLIDE, find_gliding_hits
+from tracker.measurement.collision.adequacy import CROWD, GLIDE, ROLL, find_gliding_hits
 from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES, UNSEEN_ON_AIR, VELOCITIES, LocalEstimate
 from tracker.measurement.local.recommendation import COMPARED, is_known, recommend
 from tracker.settings import FitSettings
@@ -113,7 +113,7 @@ def make_local_columns(
     row = make_empty_columns() | {"local": json.dumps(raw, separators=(",", ":"))}
     row |= {"chi2_local": estimate.chi2, "dof_local": estimate.dof}
     row["misfit_local"] = bool(estimate.adequate < settings.rejection_level)
-    row["motion_local"] = GLIDE if estimate.glides else "slide and roll"
+    row["motion_local"] = GLIDE if estimate.glides else ROLL
     push = estimate.push
     if push is not None and push.std <= settings.max_relative_error * push.value:
         row |= {"contact_duration_local": push.value, "contact_duration_local_std": push.std}

@@ -20,6 +20,7 @@ from tracker.measurement.crowd.crowd_rows import _estimate_in_steps, estimate_co
 from tracker.measurement.crowd.track_contacts import find_track_contacts
 from tracker.measurement.local.descents import run_alone
 from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate
+from tracker.measurement.messages import list_messages
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 from tracker.settings import FitSettings
 from tracker.tables.read import to_pixels
@@ -101,6 +102,22 @@ def test_each_contact_gives_r_and_all_give_the_mean(scenes):
                 assert mean.shared_std[0] > 0.1 * mean.std[0]  # the way in which slides are modelled
     assert len(z) > 5 * len(scenes)
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_pucks_glide_by_their_tracks_where_the_camera_file_does_not_say_so():
+    """Taken for balls, their mean r is 0.06 too large, and each hit has a friction of a plate."""
+    clip = synthcam.Scene.read("pucks").draw(seed=4)
+    camera = {key: value for key, value in clip.camera_json.items() if key not in ("body", "support")}
+    result = tracker.measure(add_noise(clip, NOISE_PX), camera)
+    mean = summarise_contacts(result.contacts, result.rows)["r"]
+    assert abs(mean.coefficients[0] - clip.model.restitution) < 3 * mean.std[0] < 0.02
+    assert result.contacts["mu_k"].isna().all()
+    assert any("bodies glide" in str(note) and "support: air" in str(note) for note in list_messages(result.estimates))
+    gas = tracker.observe_gas(result)
+    assert abs(gas.values["rolling_loss"] - 0.02 - 0.05 * gas.values["rolling_speed"]) < 0.002
+    assert any("support: air" in note for note in gas.notes)
+    balls = measured("tray", 1)[1]
+    assert not balls.estimates["flags"].str.contains("glide").any()
 
 
 @pytest.mark.gate
