@@ -64,8 +64,12 @@ class SearchPolicy(Settings):
 
     max_shapes_tried: Count = 30
     """Values of the shape parameters of one effect at which strengths of a realistic size are tried. If there are more,
-    those with the best score are. Derived: 30 hold all values of every effect but dropped_frame, which has 499. A lost
-    frame moves the tracks in proportion to its strength, so the score ranks these rightly."""
+    those with the best score are. Derived: 30 hold all values of every effect of the motion with one strength."""
+
+    max_linear_shapes_tried: Count = 5
+    """The same for an effect that changes what the camera shows and not the motion, as a lost frame, which has 499
+    values, or a lamp elsewhere, which has 27. It moves the tracks in proportion to its strength, so the score ranks its
+    values rightly. Chosen; not derived."""
 
     unexplained_sigma: Positive = 5.0
     """Sigma beyond which a remaining disagreement, or a rejected claim, shows that something more is missing.

@@ -175,10 +175,15 @@ def scale_to_ball(value: float, unit: str, diameter: float) -> float:
     return value * larger
 
 
+def acts_on_picture(kind: type[Effect]) -> bool:
+    """Whether an effect changes what the camera shows, or when, and not the motion."""
+    return bool({"camera", "clock", "exposure", "measure"} & set(kind.laws))
+
+
 def scale_parameter(kind: type[Effect], name: str, diameter: float) -> Parameter:
     """Scale an effect's parameter to balls of that diameter, m, within its limits; laws of the camera do not scale."""
     p = next(p for p in kind.parameters() if p.name == name)
-    if diameter == Ball().diameter or {"camera", "clock", "exposure", "measure"} & set(kind.laws):
+    if diameter == Ball().diameter or acts_on_picture(kind):
         return p
     typical, *tries = (min(max(scale_to_ball(x, p.unit, diameter), p.low), p.high) for x in (p.typical, *p.tries))
     return dataclasses.replace(p, typical=typical, tries=tuple(dict.fromkeys(tries)))

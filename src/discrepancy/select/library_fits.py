@@ -12,7 +12,7 @@ import numpy as np
 from discrepancy.fitting.gauss_newton import choose_most_likely, minimise_chi2, take_one_step
 from discrepancy.fitting.jacobian import differentiate_all, linearise, zero_unidentifiable_shapes
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
-from discrepancy.fitting.parameters import Candidate, find_parameter, parameter_limits
+from discrepancy.fitting.parameters import Candidate, acts_on_picture, find_parameter, parameter_limits
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.fitting.shape_scan import can_scan
 from discrepancy.fitting.significance import chi2_to_sigma
@@ -282,7 +282,9 @@ def _realistic_starts(
     name = candidate.strengths[0]
     size, (low, high) = find_parameter(fit.model, name).typical, parameter_limits(fit.model, name)
     begun: list[ModelFit] = []
-    grid, max_shapes = list(candidate.grid(fit.model)), current_policy().max_shapes_tried
+    grid, policy = list(candidate.grid(fit.model)), current_policy()
+    in_proportion = candidate.kind is not None and acts_on_picture(candidate.kind)
+    max_shapes = policy.max_linear_shapes_tried if in_proportion else policy.max_shapes_tried
     if len(grid) > max_shapes:
         estimates = ScoreTests.of(evidence, fit, only=[candidate]).estimates()
         grid = [shapes for shapes, _, _ in sorted(estimates, key=lambda trial: -trial[1])[:max_shapes]]

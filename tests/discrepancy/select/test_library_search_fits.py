@@ -144,9 +144,9 @@ def test_starts_of_a_real_size_are_tried_at_the_likeliest_shapes_only(monkeypatc
         return step(evidence, fit, model)
 
     monkeypatch.setattr(fits_of_library, "take_one_step", spy)
-    with applied_policy(SearchPolicy(max_shapes_tried=10)):
+    with applied_policy(SearchPolicy(max_linear_shapes_tried=4)):
         best = fits_of_library._realistic_starts(seen.evidence, seen.base, scored)[0].model
-    assert len(tried) == 10
+    assert len(tried) == 4
     assert (best.value("dropped_frame.frame"), best.value("dropped_frame.lost")) == (40.0, 1.0)
 
 
