@@ -125,7 +125,7 @@ def measure(
         return [make_empty_row(camera, "too few detections")]
     if marked and len(balls) >= settings.crowd_particles:
         raise InputError(f"contacts can be marked among fewer than {settings.crowd_particles} balls, not {len(balls)}")
-    size = measure_scatter(balls) if balls[0].has_errors else None
+    size = measure_scatter(balls, camera.ball_diameter) if balls[0].has_errors else None
     measure_balls = partial(_measure_balls, camera=camera, settings=settings, marked=marked)
     if size is None or abs(size.sigmas) < settings.noise_sigma:
         return measure_balls(balls)

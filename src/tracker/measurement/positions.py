@@ -147,7 +147,8 @@ def to_ball_tracks(tracks: Tracks, camera: Camera, *, unknown_error_px: float = 
         )
     if weighed and encoded:
         found = _with_codec_noise(found, camera)
-    if not weighed and (size := measure_scatter(found)) is not None:
+    free = measure_scatter(found, camera.ball_diameter) if not weighed else None
+    if not weighed and (size := free or measure_scatter(found)) is not None:  # kinks make errors rather too large
         found = [track.scale_errors(size) for track in found]
     if (warp := camera.warp) is None or not warp.std:
         return found
@@ -165,7 +166,7 @@ def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]
     # share z is 1 in 600 clips of two seeds, at crf 18, 23 and 28 (errors of .063, .078 and .105 px).
     share, at_px, max_share = 0.25, 0.075, 0.45
     length_px = 250.0  # distance over which the errors persist
-    size, every = measure_scatter(balls), [track.variance for track in balls]
+    size, every = measure_scatter(balls, camera.ball_diameter), [track.variance for track in balls]
     off = float(np.median(np.concatenate(every))) * (size.ratio if size else 1.0) / camera.scale**2 if balls else 0.0
     persistent, out = min(share * off / at_px**2, max_share), []
     for track, variances in zip(balls, every, strict=True):

@@ -1,7 +1,8 @@
 """Estimates the errors of positions from their scatter, where a table claims none or wrong ones.
 
 Over a few frames a cubic follows any smooth motion to far less than the noise of a detector, so the residuals are
-noise. A contact or a slide's end is not smooth; the few windows that contain one are left out.
+noise. A contact or a slide's end is not smooth; the few windows that contain one are left out. Among many balls most
+windows may contain one. There only those count in which no ball comes near another.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.special import chdtr, chdtri
 
 from synthcam_shared.arrays import Array, Flags, Ints
@@ -52,18 +54,25 @@ class ScatterRatio:
         return float(np.log(self.ratio) / np.sqrt(2 / self.dof))
 
 
-def measure_scatter(balls: Sequence[BallNoise]) -> ScatterRatio | None:
+def measure_scatter(balls: Sequence[BallNoise], diameter: float = np.nan) -> ScatterRatio | None:
     """Measure the positions' errors by their scatter about cubics in windows of consecutive frames.
 
     The balls' covariances give the expected scatter. Windows beyond the 95 % quantile of normal errors of the median
     size are left out. The mean of the others is corrected for that. None where no ball is seen in WINDOW consecutive
     frames.
+
+    diameter: m, of more than two balls. Then windows in which a ball may touch another do not count. None where too few
+    others are left: the film does not show noise apart from kinks.
     """
     kept_share = 0.95
     dof_share = 0.84  # share of the degrees of freedom that remains after the largest windows are left out
     enough = 20  # windows of moving balls from which on resting balls do not count: some tables round their positions
     least = 1e-10  # least ratio, for perfect positions
-    parts = [_windows(course) for course in balls]
+    crowd = len(balls) > 2 and np.isfinite(diameter)
+    touches: Sequence[Flags | None] = find_touches(balls, diameter) if crowd else [None] * len(balls)
+    parts = [_windows(course, near) for course, near in zip(balls, touches, strict=True)]
+    if crowd and sum(len(starts) for starts, _, _ in parts) < enough:
+        return None
     if sum(int(moved.sum()) for _, _, moved in parts) >= enough:
         parts = [(starts[moved], left[moved], moved[moved]) for starts, left, moved in parts]
     left = np.concatenate([np.empty(0), *(part[1] for part in parts)])
@@ -75,6 +84,26 @@ def measure_scatter(balls: Sequence[BallNoise]) -> ScatterRatio | None:
     share = chdtr(DOF_PER_WINDOW + 2, limit) / kept_share
     ratio = max(float(kept.mean() / (DOF_PER_WINDOW * share)), least)
     return ScatterRatio(ratio, dof_share * _count_freedom([part[0] for part in parts]))
+
+
+def find_touches(balls: Sequence[BallNoise], diameter: float) -> list[Flags]:
+    """Find the positions (n,) of each ball from which it reaches another, or may come from it, within a step.
+
+    The steps before and after a position show the velocity. diameter: m.
+    """
+    slack = 1.02
+    frame, position = np.concatenate([b.frame for b in balls]), np.concatenate([b.position for b in balls])
+    before = np.concatenate([np.diff(b.position, axis=0, prepend=b.position[:1]) for b in balls])
+    after = np.concatenate([np.diff(b.position, axis=0, append=b.position[-1:]) for b in balls])
+    longest = np.maximum(np.hypot(*before.T), np.hypot(*after.T))
+    order, touches = np.argsort(frame, kind="stable"), np.zeros(len(frame), dtype=bool)
+    for rows in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1):
+        reach = slack * diameter + 2 * longest[rows].max(initial=0.0)
+        i, j = rows[cKDTree(position[rows]).query_pairs(reach, output_type="ndarray").T]
+        way = np.maximum(*(np.hypot(*(step[i] - step[j]).T) for step in (before, after)))
+        near = np.hypot(*(position[i] - position[j]).T) < slack * diameter + way
+        touches[i[near]] = touches[j[near]] = True
+    return np.split(touches, np.cumsum([len(b) for b in balls])[:-1])
 
 
 def find_bent_windows(course: BallNoise) -> Ints:
@@ -97,11 +126,11 @@ def _residual_basis() -> Array:
     return np.linalg.qr(cubics, mode="complete")[0][:, POLYNOMIAL_ORDER + 1 :]
 
 
-def _windows(course: BallNoise) -> tuple[Ints, Array, Flags]:
+def _windows(course: BallNoise, touches: Flags | None = None) -> tuple[Ints, Array, Flags]:
     """First frames (m,) of all whole windows; chi^2 of their residuals (m,); whether the ball moved there (m,).
 
     A ball counts as moving if it covers three widths of a glint. A window in which a position is only repeated shows
-    no noise and is left out: some recorders drop what moves too little.
+    no noise and is left out: some recorders drop what moves too little. So are windows with one of `touches` (n,).
     """
     stride = 94  # windows whose covariance is computed at once
     count = len(course) - WINDOW_FRAMES + 1
@@ -117,6 +146,8 @@ def _windows(course: BallNoise) -> tuple[Ints, Array, Flags]:
     steps = np.abs(np.diff(course.position, axis=0)).sum(axis=1)
     whole = course.frame[WINDOW_FRAMES - 1 :] - course.frame[:count] == WINDOW_FRAMES - 1
     whole &= slide(steps, WINDOW_FRAMES - 1).max(-1) > 0
+    if touches is not None:
+        whole &= ~slide(touches, WINDOW_FRAMES).any(-1)
     moved = np.hypot(*(course.position[WINDOW_FRAMES - 1 :] - course.position[:count]).T) > 3.0 * course.width
     return course.frame[:count][whole], left[whole], moved[whole]
 
