@@ -5,6 +5,9 @@ python -m benchmarks.tracker.crowd_scaling [-o out/crowd_scaling.json] [--figure
 The films are drawn: spots of width 1 px on noise, each on a circle of its own about a point of a lattice. A film
 repeats after PERIOD frames, so that 10,000 frames need no more memory than its period. Each film is tracked in a
 process of its own. Memory is the peak of that process, less that before tracking.
+
+The film of 100 balls is also tracked by trackpy, which knows number, width and brightness of the spots, and linked by
+laptrack. Numba's compilation does not count.
 """
 
 from __future__ import annotations
@@ -15,6 +18,9 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +29,17 @@ from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
 from benchmarks.harness import ROOT, save
+from benchmarks.tracker.crowds import make_linkers, trackpy
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Frames
-from tracker.camera.recordings import make_recording
+from tracker.camera.recordings import Recording, make_recording
 from tracker.detection.choose import choose_detector
 from tracker.detection.detect import detect, make_view
 from tracker.detection.link import assign_track_numbers
 from tracker.settings import DetectionSettings, TrackerSettings
 
 PERIOD = 40  # frames
+SPOT_PX = 7  # width of a spot for trackpy, odd
 SIZES = {  # balls, frames, side of a picture in px
     "balls": [(n, 40, 1024) for n in (10, 30, 100, 300, 1000)],
     "frames": [(30, n, 512) for n in (100, 300, 1000, 3000, 10000)],
@@ -59,11 +67,8 @@ def draw_period(balls: int, side: int) -> NDArray[np.uint8]:
 
 def measure(balls: int, frames: int, side: int) -> dict[str, Any]:
     """Track one film: processor time of its steps, peak of the memory, and how many tracks there are."""
-    period = draw_period(balls, side)
-    film = Frames(frames, period.shape[1:], period.dtype, lambda k: period[k % PERIOD])
-    camera = Camera.unknown((side, side), 8)
-    settings = TrackerSettings(detection=DetectionSettings(max_candidates_per_frame=max(balls + 50, 100)))
-    recording, before = make_recording(0, film, camera), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    recording = make_film(balls, frames, side)
+    settings, before = make_settings(balls), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     began = time.process_time()
     name, _ = choose_detector(recording.frames, recording.camera)
     view = make_view(recording, name, settings)
@@ -84,6 +89,44 @@ def measure(balls: int, frames: int, side: int) -> dict[str, Any]:
         "found": len(glints) / frames,
         "tracks": int(np.unique(ids[ids >= 0]).size),
     }
+
+
+def make_film(balls: int, frames: int, side: int) -> Recording:
+    """Repeat the period of a film."""
+    period = draw_period(balls, side)
+    film = Frames(frames, period.shape[1:], period.dtype, lambda k: period[k % PERIOD])
+    return make_recording(0, film, Camera.unknown((side, side), 8))
+
+
+def make_settings(balls: int) -> TrackerSettings:
+    """Settings that allow for so many balls."""
+    return TrackerSettings(detection=DetectionSettings(max_candidates_per_frame=max(balls + 50, 100)))
+
+
+def compare_peers(balls: int = 100, frames: int = PERIOD, side: int = 1024) -> dict[str, dict[str, float]]:
+    """Processor time of a frame, ms, by program: that of detection, and that of the linkers on the same positions."""
+    film = make_film(balls, frames, side)
+    name, _ = choose_detector(film.frames, film.camera)
+    view = make_view(film, name, make_settings(balls))
+    longest = 0.2 * side / np.ceil(np.sqrt(balls)) * 2 * np.pi / PERIOD  # of the steps, px
+    linkers = make_linkers(replace(view.camera, fps=1.0, scale=1.0), longest)
+    glints = detect(film, view, name).glints
+    trackpy.locate(film.frames[0], SPOT_PX, topn=balls, percentile=99.5)
+    parts: dict[str, Callable[[], Any]] = {
+        "this tracker, detection": lambda: detect(film, view, name),
+        "trackpy, detection": lambda: [
+            trackpy.locate(film.frames[k], SPOT_PX, topn=balls, percentile=99.5) for k in range(frames)
+        ],
+        **{f"{key}, linking": partial(link, glints) for key, link in linkers.items()},
+    }
+    out: dict[str, dict[str, float]] = {}
+    for key, run in parts.items():
+        began = time.process_time()
+        done = run()
+        out[key] = {"ms": 1e3 * (time.process_time() - began) / frames}
+        if key.endswith("linking"):
+            out[key]["tracks"] = int(np.unique(done[done >= 0]).size)
+    return out
 
 
 def draw(figures: dict[str, list[dict[str, Any]]], path: Path) -> None:
@@ -127,7 +170,9 @@ def main() -> None:
             row = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
             figures.setdefault(over, []).append(row)
             print(over, row, flush=True)
-    save(given.output, figures)
+    peers = compare_peers()
+    print(peers, flush=True)
+    save(given.output, figures | {"peers": peers})
     draw(figures, given.figure)
 
 

@@ -29,7 +29,7 @@ def test_no_hit_corrects_itself(monkeypatch):
         fitted.append(sorted({float(one) for one in stretches}))
         if len(fitted) == 3:
             raise InputError("refused")
-        return SimpleNamespace(summary=lambda: [], to_dict=lambda: {"warp": fitted[-1]})
+        return SimpleNamespace(summary=list, to_dict=lambda: {"warp": fitted[-1]})
 
     monkeypatch.setattr(hits, "find_free_stretches", lambda balls, diameter: np.round(balls[0].position[0, 0], 6))
     monkeypatch.setattr(hits, "fit_camera_warp", fit_camera_warp)
