@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 Progress = Callable[[str], None]  # takes the name of the stage that runs
 ONLY_LAWS = "only free laws"  # the stage "free laws" where no effect of the library is significant
 LIMITED_STAGES = ("search", "free laws", ONLY_LAWS)  # --minutes limits these; the others take seconds
+FAR_LONGER = 3.0  # than in the level before, which usually takes half the time: the end of such a stage is not known
 
 
 @dataclass
@@ -45,7 +46,7 @@ class SearchClock:
             self.spells.append((stage, now))
 
     def estimate_left(self, now: float) -> float:
-        """Estimate the time left at the time `now`, s; NaN before anything shows it, and in stages of seconds."""
+        """Estimate the time left at the time `now`, s; NaN where nothing shows it, and in stages of seconds."""
         if not self.spells or self.spells[-1][0] not in LIMITED_STAGES:
             return math.nan
         *done, (stage, spent) = self._durations(now)
@@ -54,7 +55,7 @@ class SearchClock:
             rest = [seconds for _, seconds in self.previous[len(done) :]]
             return min(_remaining(rest[0], spent) + sum(rest[1:]), at_most)
         lengths = {name: seconds for name, seconds in done if name in LIMITED_STAGES}  # the latest of each
-        if not lengths:
+        if not lengths or spent > FAR_LONGER * lengths.get(stage, math.inf):
             return math.nan
         searching = max(lengths.get("search", 0.0), spent if stage == "search" else 0.0)
         if stage == ONLY_LAWS:  # tests of laws take .6 to 1.1 of the time that those of effects take

@@ -53,6 +53,16 @@ def test_a_round_is_as_long_as_the_one_before():
     assert all(left == pytest.approx(true, abs=2.0) for left, true in late)
 
 
+def test_the_end_of_a_stage_that_takes_far_longer_than_the_last_is_not_known():
+    """A search of 116 stretches of billiard balls: its second level added waves of the plate."""
+    clock = SearchClock(600.0)
+    for stage, now in (("fit", 30.0), ("search", 40.0), ("free laws", 60.0), ("search", 80.0)):
+        clock.enter(stage, now)
+    assert clock.estimate_left(90.0) == pytest.approx(10 + 20 + 20)
+    assert clock.estimate_left(135.0) == pytest.approx(0.2 * 55 + 20 + 0.5 * (55 + 20))
+    assert math.isnan(clock.estimate_left(141.0))
+
+
 def test_nothing_is_estimated_before_there_is_a_ground_and_the_limit_bounds_it():
     assert all(math.isnan(left) for now, left, _ in follow(TWO_EFFECTS) if now < 5.9)
     assert all(left <= 12.0 - now for now, left, _ in follow(TWO_EFFECTS, limit_s=12.0) if 6.1 < now < 12)
