@@ -14,14 +14,15 @@ from discrepancy.data.stretches import cut_stretches
 from discrepancy.data.study_design import split_held_out
 from discrepancy.data.track_checks import covers_contact, remove_filtered_rows
 from discrepancy.fitting.base_fit import fit_base_model, remove_outliers_beside_model
-from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.noise_refit import refit_noise
 from discrepancy.fitting.stretch_moves import NO_SCATTER, StretchScatter, add_moves, find_moves
-from discrepancy.fitting.stretch_scatter import add_scatter, fit_scatter
+from discrepancy.fitting.stretch_scatter import add_scatter
 from discrepancy.fitting.stretch_starts import choose_starts, fit_launches
 from discrepancy.noise.error_trends import remove_frame_shift, rescale_errors
 from discrepancy.noise.model import Noise, estimate_noise
 from discrepancy.policy import current_policy
+from discrepancy.select.scatter_beside_effects import fit_scatter_beside_effects, refit
 from discrepancy.time_left import in_stage, report_progress
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
@@ -103,18 +104,18 @@ def prepare_data(clips: Sequence[MeasuredCollision], model: Model, stretches: bo
         fitted, held_out = every[: len(fitted)], every[len(fitted) :]
         noise, error_notes = estimate_noise(fitted), [*error_notes, *trends]
     base = fit_base_model(fitted, model, noise)
-    scatter = fit_scatter(fitted, base, noise) if stretches else NO_SCATTER
+    scatter, beside = fit_scatter_beside_effects(fitted, base, noise) if stretches else (NO_SCATTER, base)
     if scatter.is_none:
-        noise = refit_noise(fitted, base, noise, explained=False) or noise
+        noise = refit_noise(fitted, beside, noise, explained=False) or noise
     left_out = [*note_removed_points(clips, cleaned if stretches else [*fitted, *held_out]), *odd]
     data = SearchData(tuple(fitted), tuple(held_out), noise, tuple(left_out), error_notes=tuple(error_notes))
     if scatter.is_none:
         return data
-    data = data.with_scatter(scatter, base)
+    data = data.with_scatter(scatter, beside)
     if not scatter.freedom:
         return data
     # few stretches with large accelerations decided that fit; now they count less
-    return data.with_scatter(scatter, fit_base_model(data.clips, model, noise))
+    return data.with_scatter(scatter, refit(WhitenedClips.of(data.clips, noise), beside))
 
 
 def _prepare_smoothed(smoothed: Sequence[MeasuredCollision], left_out: Sequence[SearchNote]) -> SearchData:
