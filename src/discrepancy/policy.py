@@ -257,11 +257,6 @@ class SearchPolicy(Settings):
     """-2 log likelihood within the phases of motion by which they exclude a noise estimated over whole clips.
     Derived: one chance in a thousand for five numbers, the most that such a noise has."""
 
-    min_share_of_scatter: Share = 0.25
-    """Share of the excess of chi^2 beside the noise alone that an effect must explain, to first order, before the
-    scatter of free stretches is fitted again beside it. Derived: an effect that explains less makes the sizes of the
-    scatter larger by 15 % at most, and so cannot hide in it."""
-
     frame_shift_sigma: Positive = 5.0
     """Sigma beyond which a shift of every second frame is removed. A convention (5 sigma)."""
 

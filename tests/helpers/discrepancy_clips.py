@@ -9,6 +9,7 @@ import discrepancy.fitting.parameters
 import discrepancy.free_laws.library
 import synthcam.model
 from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting.jacobian import differentiate_launches, differentiate_tracks
 from discrepancy.fitting.model_fit import project_out
 from discrepancy.fitting.parameters import BASE_PARAMETERS, strength_names
@@ -24,6 +25,7 @@ from tracker.camera.camera import Camera
 
 STD = 1.6e-6  # m, 0.01 px
 FPS, EXPOSURE, FRAMES = 250.0, 5e-4, 80
+WAY = 4e-3  # m, over which the displacements of `scattering_stretches` change
 CAMERA = Camera.from_dict(
     {"scale": 1.6e-4, "size": [640, 480], "fps": FPS, "exposure": EXPOSURE, "ball_diameter": 2.38e-3, "t": [0, 0, 0.5]}
     | {"lamp": {"position": [0.05, 0.0, 0.45], "radius": 0.01}}
@@ -115,6 +117,26 @@ def noisy(clips, seed, rho=0.0):
         xy = clip.xy + noise_of_pair(rng, rho, len(clip.frame) // 2)
         out.append(dataclasses.replace(clip, xy=xy, launch=clip.launch + off, slide_ends=clip.slide_ends + late))
     return out
+
+
+def scattering_stretches(model, count, scatter=0.0, warp=0.0, same=True, seed=5):
+    """Stretches of collisions, each with a friction of its own, and displaced by a smooth map.
+
+    scatter: of the friction, relative. warp: of the displacements, m. same: all stretches share the map.
+    """
+    rng, clips = np.random.default_rng(seed), []
+    for k, clip in enumerate(exact(model, count, seed - 1)):
+        friction = model.sliding_friction * (1 + scatter * rng.standard_normal())
+        own = exact(model.replace({"sliding_friction": friction}), count, seed - 1)[k] if scatter else clip
+        clips.append(dataclasses.replace(clip, xy=own.xy, slide_ends=own.slide_ends))
+    waves, phases = rng.normal(size=(12, 2)) / WAY, rng.uniform(0, 2 * np.pi, (12, 2))
+    cut = []
+    for clip in cut_stretches(noisy(clips, seed - 2)):
+        if not same:
+            phases = rng.uniform(0, 2 * np.pi, (12, 2))
+        shift = np.cos((clip.xy @ waves.T)[..., None] + phases).sum(axis=1) / np.sqrt(6)
+        cut.append(dataclasses.replace(clip, xy=clip.xy + warp * shift))
+    return cut
 
 
 def collisions(model, count, seed, rho=0.0, frames=FRAMES):

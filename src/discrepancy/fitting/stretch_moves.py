@@ -46,11 +46,21 @@ class StretchScatter:
     # others; 0: they are normal, and as large in all.
     freedom: float = 0.0
     unlimited: tuple[str, ...] = ()  # sizes with the largest value that the fit allows, because no data limit them
+    is_displaced_most: bool = False  # true if the displacements are the largest that the fit allows
 
     @property
     def is_none(self) -> bool:
         """True if nothing differs."""
         return not (self.friction or self.loss_m_s2 or self.across_m_s2 or self.displacement_m)
+
+    @property
+    def is_implausible(self) -> bool:
+        """True if it is so large that the model seems to lack motion.
+
+        Either the displacements are the largest that the fit allows, or 3 standard deviations less than the mean
+        friction is below zero.
+        """
+        return self.is_displaced_most or self.friction > 1 / 3
 
     def without_tails(self) -> StretchScatter:
         """The normal scatter with the accelerations of the median stretch, if the tails are those of Student's t."""
@@ -81,13 +91,15 @@ class ScatterSizes:
     def build(self, names: Sequence[str], x: Array, speed_power: int = 0) -> StretchScatter:
         """The scatter whose sizes of these names have these logarithms over those of the start."""
         logs = dict(zip(names, np.clip(x, -MAX_LOG_GROWTH, MAX_LOG_GROWTH).tolist(), strict=True))
-        values = {name: self.start[name] * float(np.exp(log)) for name, log in logs.items()}
+        values: dict[str, Any] = {name: self.start[name] * float(np.exp(log)) for name, log in logs.items()}
         unlimited = tuple(n for n in ("friction", "loss_m_s2", "across_m_s2") if logs.get(n, 0.0) == MAX_LOG_GROWTH)
+        most = "displacement_m" in names and values["displacement_m"] >= self.max_displacement_m
         if "displacement_m" in names:
             shortest, longest = self.reaches_m
             values["displacement_m"] = min(values["displacement_m"], self.max_displacement_m)
             values["reach_m"] = min(max(values["reach_m"], shortest), longest)
-        return StretchScatter(**values, speed_power=speed_power, speed_m_s=self.speed_m_s, unlimited=unlimited)
+        values |= {"speed_power": speed_power, "speed_m_s": self.speed_m_s}
+        return StretchScatter(**values, unlimited=unlimited, is_displaced_most=most)
 
     def drop_negligible(self, scatter: StretchScatter) -> StretchScatter:
         """The same scatter without sizes that are far below those of the start."""

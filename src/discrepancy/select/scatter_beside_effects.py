@@ -31,6 +31,7 @@ from discrepancy.select.score_test import CandidateScore, largest_cosine
 
 MAX_EFFECTS = 2  # that are added to the base model, one after the other
 MAX_TRIED = 3  # effects that are fitted at a time
+MIN_SHARE = 0.5  # of the excess of chi^2 by noise alone: an effect that explains less leaves most of the scatter
 
 
 @dataclass(frozen=True)
@@ -65,21 +66,21 @@ def fit_scatter_beside_effects(
 
     base: the fit of these clips with `noise`, and without a scatter. Returns the scatter, and the fit beside it.
 
-    An effect may be added if it explains at least `SearchPolicy.min_share_of_scatter` of what noise leaves. It is added
-    if it is significant by its gain in likelihood, and if that gain exceeds its price. The search tests it again, and
-    fits the scatter again beside the effects that it selects.
+    Effects are tried where the scatter beside the base model is implausibly large. By noise alone, such an effect must
+    explain more than it leaves. It is added if it is significant by its gain in likelihood, and if that gain exceeds
+    its price. The search tests it again, and fits the scatter again beside the effects that it selects.
     """
     scatter = fit_scatter(clips, base, noise)
-    leaders = None if scatter.is_none else LeadingEffects.of(clips, base, noise)
-    if leaders is None or not leaders.scores:
+    if not scatter.is_implausible:
         return scatter, base
-    start = best = ScatterBesideModel.of(clips, base, base, noise)
-    for _ in range(MAX_EFFECTS):
+    best, fit = ScatterBesideModel.of(clips, base, base, noise), base
+    while best.scatter.is_implausible and len(fit.added_names(base)) < MAX_EFFECTS:
+        leaders = LeadingEffects.of(clips, fit, noise)
         better = min(leaders.add_each(best, base), key=lambda one: one.cost + one.price, default=None)
         if better is None:
             break
-        best, leaders = better, LeadingEffects.of(clips, better.fit, noise)
-    return (scatter, base) if best is start else (fit_scatter(clips, best.fit, noise), best.fit)
+        best, fit = better, better.fit
+    return (scatter, base) if fit is base else (fit_scatter(clips, fit, noise), fit)
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ class LeadingEffects:
     def of(cls, clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise) -> LeadingEffects:
         """Find the effects that explain most of what `fit` leaves."""
         library = LibraryFits(WhitenedClips.of(clips, noise), fit)
-        least = current_policy().min_share_of_scatter * (fit.chi2 - fit.points)
+        least = MIN_SHARE * (fit.chi2 - fit.points)
         ranking = sorted(library.ranking, key=lambda c: -c.gain)
         known = [c for c in ranking if c.identifiable and c.sigma > library.required_sigma and c.gain > least]
         return cls(library, known[:MAX_TRIED], noise)

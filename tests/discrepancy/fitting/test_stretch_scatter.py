@@ -4,11 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from discrepancy_clips import CAMERA, FPS, STD, exact, noisy
+from discrepancy_clips import CAMERA, FPS, STD, WAY, scattering_stretches
 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import MEETS_NOTHING
-from discrepancy.data.stretches import cut_stretches
 from discrepancy.fitting import stretch_scatter
 from discrepancy.fitting.air_scatter import AirScatterFits, ScatterForm
 from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
@@ -26,23 +25,10 @@ from discrepancy.validate.gap import measure_gap
 from synthcam.model import Model
 
 COUNT = 6
-WAY = 4e-3  # m, over which the displacements below change
 
 
 def draw(scatter=0.0, warp=0.0, same=True):
-    """Stretches of collisions, each with a friction and a rolling loss of its own, and displaced by a smooth map."""
-    rng, clips = np.random.default_rng(5), []
-    for k, clip in enumerate(exact(Model(), COUNT, 4)):
-        friction = Model().sliding_friction * (1 + scatter * rng.standard_normal())
-        own = exact(Model().replace({"sliding_friction": friction}), COUNT, 4)[k] if scatter else clip
-        clips.append(dataclasses.replace(clip, xy=own.xy, slide_ends=own.slide_ends))
-    waves, phases = rng.normal(size=(12, 2)) / WAY, rng.uniform(0, 2 * np.pi, (12, 2))
-    cut = []
-    for clip in cut_stretches(noisy(clips, 3)):
-        if not same:
-            phases = rng.uniform(0, 2 * np.pi, (12, 2))
-        shift = np.cos((clip.xy @ waves.T)[..., None] + phases).sum(axis=1) / np.sqrt(6)
-        cut.append(dataclasses.replace(clip, xy=clip.xy + warp * shift))
+    cut = scattering_stretches(Model(), COUNT, scatter=scatter, warp=warp, same=same)
     return cut, fit_base_model(cut, Model(), CLAIMED_NOISE)
 
 
