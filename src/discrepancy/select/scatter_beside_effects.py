@@ -74,12 +74,14 @@ def fit_scatter_beside_effects(
     if not scatter.is_implausible:
         return scatter, base
     best, fit = ScatterBesideModel.of(clips, base, base, noise), base
-    while best.scatter.is_implausible and len(fit.added_names(base)) < MAX_EFFECTS:
+    for _ in range(MAX_EFFECTS):
         leaders = LeadingEffects.of(clips, fit, noise)
         better = min(leaders.add_each(best, base), key=lambda one: one.cost + one.price, default=None)
         if better is None:
             break
         best, fit = better, better.fit
+        if not best.scatter.is_implausible:
+            break
     return (scatter, base) if fit is base else (fit_scatter(clips, fit, noise), fit)
 
 
