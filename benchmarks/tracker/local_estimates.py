@@ -2,12 +2,13 @@
 
 python -m benchmarks.tracker.local_estimates [--hits 200] [--seed 1] [--only KIND] [-o out/local_estimates.json]
 
-Hits are those of five kinds:
+Hits are those of six kinds:
 
 - balls: billiard balls of 61.5 mm at 50 frames a second, noise 0.3 mm. The striker slides and then rolls, or slides
   up to the hit, by the textbook in three dimensions. r, the friction between balls, that of the cloth and the loss
   scatter from hit to hit. The friction of the cloth is 0.12 to 0.32, not that of the prior, and so is the loss, 0.02
   to 0.12 m/s^2.
+- small balls: the same with 20 mm and 0.2 to 0.7 m/s, at 120 frames a second, noise 0.055 mm.
 - discs: pucks of 50 mm on air at 250 frames a second, noise 0.03 mm. Each run has a drag of its own, the rims rub, and
   the masses are unequal and given.
 - pucks: discs of 30 mm that slide on a dry plate until they stop. They have 240 frames a second, as in a film of 320 x
@@ -18,8 +19,9 @@ Hits are those of five kinds:
   10 % across it.
 
 With --warp W the positions are shifted by a smooth map of W m rms over 0.1 m, which no fit knows. With --claimed the
-tables have the true errors of positions; without it the errors come from the scatter. With --mirrored each hit is
-measured again with the opposite errors. The mean of both deviations is the bias, since the noise itself cancels.
+tables have the true errors of positions; without it the errors come from the scatter. With --nearest N the tables have
+N positions of each body on either side of the hit, as of a short clip. With --mirrored each hit is measured again with
+the opposite errors. The mean of both deviations is the bias, since the noise itself cancels.
 
 For each quantity the table gives the number with an error, the rms of z = error / standard error, and the share within
 1 and 1.96 standard errors. It does so by the residuals alone, with the prior of one recording, and with errors fitted
@@ -33,6 +35,7 @@ import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -54,15 +57,16 @@ Floats = NDArray[np.float64]
 QUANTITIES = ("v0", "r", "s", "impact_energy", "energy_fraction", "v1ox", "v1oy", "v2ox", "v2oy")
 
 
-def draw_balls(rng: np.random.Generator) -> tuple[list[Floats], dict[str, float], dict[str, Any]]:
+def draw_balls(
+    rng: np.random.Generator, fps: float = 50.0, radius: float = 0.03075, speeds: tuple[float, float] = (1.0, 4.0)
+) -> tuple[list[Floats], dict[str, float], dict[str, Any]]:
     """Positions (n, 2) of a resting and a striking ball, the truth, and the camera file."""
-    fps, radius = 50.0, 0.03075
     while True:
         p = billiard.Physics(
             r=min(rng.normal(0.96, 0.03), 1.0), mu=rng.uniform(0.12, 0.32), c=rng.uniform(0.02, 0.15),
             drag=0.011, decel=rng.uniform(0.02, 0.12), radius=radius,
         )  # fmt: skip
-        v, b, before = rng.uniform(1.0, 4.0), rng.uniform(-0.7, 0.7), rng.uniform(0.15, 0.5)
+        v, b, before = rng.uniform(*speeds), rng.uniform(-0.7, 0.7), rng.uniform(0.15, 0.5)
         target = billiard.rolling([0.0, 0.0], [0.0, 0.0], radius)
         striker = billiard.rolling([-v * before - 2 * radius, -2 * radius * b], [v, 0.0], radius)
         striker[2] = striker[2] * rng.choice([0.0, 0.5, 1.0])
@@ -155,6 +159,7 @@ def bend(place: Floats, waves: Floats, size: float) -> Floats:
 
 KINDS: dict[str, tuple[Callable[..., tuple[list[Floats], dict[str, float], dict[str, Any]]], float, str]] = {
     "balls": (draw_balls, 3e-4, "cloth"),
+    "small balls": (partial(draw_balls, fps=120.0, radius=0.01, speeds=(0.2, 0.7)), 5.5e-5, "cloth"),
     "discs": (draw_discs, 3e-5, "air"),
     "pucks": (draw_pucks, 1.75e-4, ""),
     "dry pucks": (draw_pucks, 1.75e-4, "sliding"),
@@ -163,10 +168,10 @@ KINDS: dict[str, tuple[Callable[..., tuple[list[Floats], dict[str, float], dict[
 
 
 def measure_kind(
-    kind: str, hits: int, seed: int, warp: float, claimed: bool = False, sign: float = 1.0
+    kind: str, hits: int, seed: int, warp: float, claimed: bool = False, sign: float = 1.0, nearest: int = 0
 ) -> list[dict[str, Any]]:
     """Measure hits of one kind: their rows with the truth as NAME_true."""
-    return [measure_one(kind, k, seed, warp, claimed, sign) for k in range(hits)]
+    return [measure_one(kind, k, seed, warp, claimed, sign, nearest) for k in range(hits)]
 
 
 def draw_one(
@@ -186,10 +191,23 @@ def draw_one(
     return RecordedHit(f"{kind} {k}", pd.concat(parts, ignore_index=True), camera), truth
 
 
-def measure_one(kind: str, k: int, seed: int, warp: float, claimed: bool = False, sign: float = 1.0) -> dict[str, Any]:
+def measure_one(
+    kind: str, k: int, seed: int, warp: float, claimed: bool = False, sign: float = 1.0, nearest: int = 0
+) -> dict[str, Any]:
     """Measure the hit of a number: its row with the truth as NAME_true; sign: of the errors of positions."""
     hit, truth = draw_one(kind, k, seed, warp, claimed, sign)
+    if nearest:
+        hit = replace(hit, tracks=keep_nearest(hit.tracks, nearest))
     return measure_hit(hit, KINDS[kind][2]) | {f"{name}_true": value for name, value in truth.items()}
+
+
+def keep_nearest(tracks: pd.DataFrame, count: int) -> pd.DataFrame:
+    """Keep the frames next to that in which the bodies are nearest: `count` on either side."""
+    one, two = (part[["frame", "x", "y"]].to_numpy() for _, part in tracks.groupby("particle"))  # of the same frames
+    nearest = one[int(np.argmin(((one - two)[:, 1:] ** 2).sum(axis=1))), 0]
+    since = tracks["frame"].to_numpy() - nearest
+    kept: pd.DataFrame = tracks.loc[(since > -count) & (since <= count)]
+    return kept
 
 
 def cover(rows: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
@@ -226,12 +244,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--warp", type=float, default=0.0)
     parser.add_argument("--claimed", action="store_true")
+    parser.add_argument("--nearest", type=int, default=0, help="positions on either side of the hit; default: all")
     parser.add_argument("--mirrored", action="store_true")
     parser.add_argument("--only", choices=list(KINDS), action="append", help="only this kind; may be given again")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/local_estimates.json"))
     given, out = parser.parse_args(), {}
     for kind in given.only or KINDS:
-        rows = measure_kind(kind, given.hits, given.seed, given.warp, given.claimed)
+        rows = measure_kind(kind, given.hits, given.seed, given.warp, given.claimed, nearest=given.nearest)
         bare = [row | apply_errors(row, LocalErrors()) for row in rows]
         out[kind] = {"residuals": cover(bare), "prior": cover(rows), "set": cover(calibrate_set(rows))}
         for errors, table in out[kind].items():
@@ -239,7 +258,7 @@ def main() -> None:
             for name, line in table.items():
                 print(f"  {name:16}{line}", flush=True)
         if given.mirrored:
-            other = measure_kind(kind, given.hits, given.seed, given.warp, given.claimed, sign=-1.0)
+            other = measure_kind(kind, given.hits, given.seed, given.warp, given.claimed, -1.0, given.nearest)
             out[kind]["bias"] = measure_bias(bare, [row | apply_errors(row, LocalErrors()) for row in other])
             print(f"{kind}, bias: number, mean deviation in errors, and its error")
             for name, line in out[kind]["bias"].items():
