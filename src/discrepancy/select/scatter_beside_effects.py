@@ -31,7 +31,7 @@ from discrepancy.select.score_test import CandidateScore, largest_cosine
 
 MAX_EFFECTS = 2  # that are added to the base model, one after the other
 MAX_TRIED = 3  # effects that are fitted at a time
-MIN_SHARE = 0.5  # of the excess of chi^2 by noise alone: an effect that explains less leaves most of the scatter
+MIN_SHARE = 0.25  # of the excess of chi^2 by noise alone: one that explains less makes sizes 15 % larger at most
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ def fit_scatter_beside_effects(
 
     base: the fit of these clips with `noise`, and without a scatter. Returns the scatter, and the fit beside it.
 
-    Effects are tried where the scatter beside the base model is implausibly large. By noise alone, such an effect must
-    explain more than it leaves. It is added if it is significant by its gain in likelihood, and if that gain exceeds
-    its price. The search tests it again, and fits the scatter again beside the effects that it selects.
+    Effects are tried where the scatter beside the base model is implausibly large. An effect is added if it is
+    significant by its gain in likelihood, and if that gain exceeds its price. If the scatter stays implausible, it is
+    real, and no effect is added. The search tests the effects again, and fits the scatter beside those that it selects.
     """
     scatter = fit_scatter(clips, base, noise)
     if not scatter.is_implausible:
@@ -82,7 +82,7 @@ def fit_scatter_beside_effects(
         best, fit = better, better.fit
         if not best.scatter.is_implausible:
             break
-    return (scatter, base) if fit is base else (fit_scatter(clips, fit, noise), fit)
+    return (scatter, base) if best.scatter.is_implausible or fit is base else (fit_scatter(clips, fit, noise), fit)
 
 
 @dataclass(frozen=True)
@@ -105,13 +105,14 @@ class LeadingEffects:
     def add_each(self, known: ScatterBesideModel, base: ModelFit) -> Iterator[ScatterBesideModel]:
         """Add each to a model, fit the scatter again, and yield what is significantly more likely at its price.
 
-        By noise alone an effect must explain half as much as the best does, and be no alias of one that costs less.
+        By noise alone an effect must explain half as much as the best does. Aliases of one with fewer parameters are
+        left out.
         """
         library, tried = self.library, list[CandidateScore]()
         for scored in self.scores:
             library.extend(frozenset({scored.candidate}), library.base, scored)
         most = (library.base.chi2 + min(fit.chi2 for fit in library.fits.values())) / 2
-        for scored in sorted(self.scores, key=lambda c: library.cost_of([c.candidate])):
+        for scored in sorted(self.scores, key=lambda c: len(c.candidate.strengths + c.candidate.shapes)):
             fit = library.fits[frozenset({scored.candidate})]
             likeness = [largest_cosine(scored.signature, c.signature) for c in tried]
             if fit.chi2 > most or max(likeness, default=0.0) > current_policy().alias_cosine:
