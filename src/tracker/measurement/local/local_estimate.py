@@ -28,6 +28,7 @@ from tracker.measurement.local.local_fit import (
     MAX_RESIDUAL_CLAIMED,
     MAX_RESIDUAL_SCATTER,
     choose_window,
+    fit_line,
     fit_motions,
     guess_contact,
     mix_solutions,
@@ -176,6 +177,8 @@ def _fit_stretches(
             for s in whole
         ]
         priors = _allow_for_duration(priors, stretches, contact, camera)
+        if rests and known.slips is None:
+            priors = replace(priors, slips=_expect_slips(stretches, instant))
         found = yield from fit_motions(stretches, instant, rests, supports, priors, before)
         late, instant = float(found[0].x[0]) - instant, float(found[0].x[0])
         if turn == 2 or lasts or abs(late) > 3 / camera.fps or _has_stretches(contact, camera, instant, late, whole):
@@ -226,6 +229,26 @@ def _guess_fall_of_loss(priors: LocalPriors, stretches: Sequence[Stretch]) -> Lo
     spans, ways = (np.array(part) for part in zip(*((np.ptp(s.time), _find_way(s)) for s in stretches), strict=True))
     speed = max(float(np.mean(ways / spans)), priors.loss * float(spans.max()))
     return replace(priors, fall=0.5 * priors.loss / speed, fall_error=0.65 * priors.loss / speed)
+
+
+def _expect_slips(stretches: Sequence[Stretch], instant: float) -> KnownSlips:
+    """What is known of the slips just after a ball has hit one at rest.
+
+    The struck ball has no spin but what the surfaces give it. That of the striker may be any, because it may have slid.
+    """
+    share, share_error, least = 0.2, 0.2, 0.05
+    velocity = {(s.ball, s.after): fit_line(s, instant)[1] for s in stretches}
+    struck, approach = velocity[1, True], float(np.hypot(*velocity[2, False]))
+    speed = max(float(np.hypot(*struck)), 1e-9)
+    return KnownSlips(
+        slips=np.array([struck, velocity[2, True] - velocity[2, False]]),
+        left=np.zeros((2, 2)),
+        left_std=(0.0, approach),
+        normal=struck / speed,
+        share=share,
+        drag_std=share_error * approach,
+        std=least * speed,
+    )
 
 
 def _find_way(stretch: Stretch) -> float:

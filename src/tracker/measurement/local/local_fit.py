@@ -162,7 +162,7 @@ def guess_contact(stretches: Sequence[Stretch], contact: float) -> float:
     """Guess the contact for the local fit: where straight lines before and after it meet best in time."""
     top = bottom = 0.0
     for ball in (1, 2):
-        lines = {s.after: _line(s, contact) for s in stretches if s.ball == ball}
+        lines = {s.after: fit_line(s, contact) for s in stretches if s.ball == ball}
         if len(lines) < 2:
             continue
         shift, turn = lines[True][0] - lines[False][0], lines[True][1] - lines[False][1]
@@ -170,7 +170,8 @@ def guess_contact(stretches: Sequence[Stretch], contact: float) -> float:
     return contact + (top / bottom if bottom > 0 else 0.0)
 
 
-def _line(stretch: Stretch, contact: float) -> tuple[Array, Array]:
+def fit_line(stretch: Stretch, contact: float) -> tuple[Array, Array]:
+    """Fit a straight line to the six positions next to a contact: the place there, and the velocity."""
     rows = slice(0, 6) if stretch.after else slice(-6, None)
     t, x = stretch.time[rows] - contact, stretch.position[rows]
     if len(t) < 2 or np.ptp(t) == 0:

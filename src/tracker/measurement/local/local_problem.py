@@ -4,6 +4,7 @@ The parameters are the instant of the contact, the place of each body there, and
 Weak knowledge keeps short stretches regular, as rows of the least squares:
 
 - the bodies touch at about one diameter, and each is in about one place before and after the contact;
+- the slip of a ball that was at rest is about its velocity, which tells how long it slides;
 - the plate's friction, and its rolling loss, are about the same in all stretches, and the loss falls with the speed;
 - dry friction is opposite to the velocity, and about the same in all stretches.
 """
