@@ -18,7 +18,7 @@ import typer
 from synthcam_shared.application import make_command_line, progress_bar, run
 from synthcam_shared.errors import InputError
 from tracker.benchmark.commands import app as benchmark_app
-from tracker.camera.camera_keys import CHANNELS, DARK, PLANES
+from tracker.camera.camera_keys import CHANNELS, CONTRAST, DARK, PLANES
 from tracker.detection import detectors as detector_files
 
 if TYPE_CHECKING:
@@ -64,8 +64,9 @@ def track(
     channel: Annotated[
         str | None,
         typer.Option(
-            help=f"{', '.join((*CHANNELS, *PLANES))} or #rrggbb, of a film in colour; {DARK}, of any, makes dark "
-            "specks bright. Without it the film decides."
+            help=f"{', '.join((*CHANNELS, *PLANES))} or #rrggbb, of a film in colour. Of any film: {DARK}, in "
+            f"which dark specks are bright, and {CONTRAST}, in which a body with a bright and a dark part is one. "
+            "Without it the film decides."
         ),
     ] = None,
     times: Annotated[

@@ -9,6 +9,7 @@ LONGEST_SIDE = (1 << 15) - 1  # px, the most that OpenCV's routines take
 VIEW_ERROR_COUNT = 11  # of a row of view_errors: relative focal length, cx, cy, k1, k2, rotation vector after R, t
 CHANNELS = ("grey", "red", "green", "blue")  # in which a film in colour can be read
 DARK = "dark"  # the channel in which what is dark in grey is bright
+CONTRAST = "contrast"  # that in which all that differs from the picture without balls is bright
 PLANES = ("red-green", "red-blue", "green-blue", "colour", "plate")  # and in these, which shadows hardly change
 
 

@@ -1,4 +1,6 @@
-"""Grey planes of a film in colour in which a shadow hardly shows: differences and distances of colours.
+"""Planes of a film that show balls better than grey does: differences and distances of colours, and of brightness.
+
+Most are of a film in colour, and a shadow hardly shows in them.
 
 A shadow darkens red, green and blue by one factor, so that their shares of the sum stay. All planes here but one are
 made of these shares. Their counts are uint8, whatever the depth of the film:
@@ -8,6 +10,8 @@ made of these shares. Their counts are uint8, whatever the depth of the film:
   deviations of the noise, so that a ball of two colours is one disc;
 - "plate": the distance from the line of colours that the plate takes from shadow to full light, 0 to 200. It saturates
   in the same way. The plate has one colour, so that balls show where they rest all the time, too;
+- "contrast", of any film: how far the brightness is from that of the picture without balls, 0 to 200. It saturates in
+  the same way, so that a body with a white and a black part is one. It shows shadows, too;
 - "#rrggbb": how near a pixel is to that colour. It is 200 on the colour, and 0 as far from it as the usual colour of
   the film.
 """
@@ -21,7 +25,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.camera.camera_keys import CHANNELS, PLANES
+from tracker.camera.camera_keys import CHANNELS, CONTRAST, PLANES
 
 PLATE = "plate"
 Colours = NDArray[Any]  # (h, w, 3): red, green, blue
@@ -29,8 +33,8 @@ Shares = NDArray[np.float32]  # (h, w, 3): of the sum of the three
 
 
 def is_plane(name: str) -> bool:
-    """Tell whether a name stands for a grey plane of a film's colours."""
-    return name in PLANES or re.fullmatch(r"#[0-9a-fA-F]{6}", name) is not None
+    """Tell whether a name stands for a plane of distances or differences, and not for a film's own counts."""
+    return name in (*PLANES, CONTRAST) or re.fullmatch(r"#[0-9a-fA-F]{6}", name) is not None
 
 
 def find_shares(picture: Colours, white: float) -> Shares:
@@ -98,6 +102,24 @@ def read_plane(name: str, sample: Callable[[], Sequence[Colours]], white: float)
     return nearness
 
 
+def read_contrast(pictures: Sequence[NDArray[Any]]) -> Callable[[NDArray[Any]], NDArray[np.uint8]]:
+    """Return a function that makes the plane "contrast" of a picture (h, w).
+
+    pictures: (h, w), spread over the film; their median is the picture without balls.
+    """
+    top, saturation_spreads, least_counts = 200.0, 5.0, 4.0
+    sample = np.array(pictures)
+    level = np.median(sample, axis=0).astype(np.float32)
+    noise = 1.4826 * float(np.median(np.abs(sample - level)))  # of a pixel; most pixels are the plate's
+    spread, empty = max(saturation_spreads * noise, least_counts), _smooth(level)
+
+    def distance(picture: NDArray[Any]) -> NDArray[np.uint8]:
+        off = (_smooth(picture) - empty) / np.float32(spread)
+        return np.asarray(np.rint(top - top * cv2.exp(-0.5 * off * off)), np.uint8)
+
+    return distance
+
+
 @dataclass(frozen=True)
 class _PlateLine:
     """A line in the space of red, green and blue, counts, near which all pixels of the plate lie."""
@@ -118,10 +140,10 @@ class _PlateLine:
         return np.asarray(_add_colours(apart * apart) / (saturation_spreads**2 * noise), np.float32)
 
 
-def _smooth(picture: Colours) -> Shares:
-    """Red, green and blue with half the noise of single pixels, so that a black ball differs from a shadow."""
+def _smooth(picture: NDArray[Any]) -> NDArray[np.float32]:
+    """Grey, or red, green and blue, with half the noise of a pixel, so that a black ball differs from a shadow."""
     std_px = 0.5
-    light = np.ascontiguousarray(picture[..., :3], dtype=np.float32)
+    light = np.ascontiguousarray(picture[..., :3] if picture.ndim == 3 else picture, dtype=np.float32)
     return np.asarray(cv2.GaussianBlur(light, (0, 0), std_px), np.float32)
 
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from synthcam_shared.arrays import Array, Flags, Ints
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import CHANNELS, DARK, LONGEST_SIDE, MOST_PIXELS, PLANES
-from tracker.camera.colour_planes import is_plane, read_plane
+from tracker.camera.camera_keys import CHANNELS, CONTRAST, DARK, LONGEST_SIDE, MOST_PIXELS, PLANES
+from tracker.camera.colour_planes import is_plane, read_contrast, read_plane
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 T = TypeVar("T")
@@ -136,10 +136,10 @@ class Frames(Sequence[Any]):
     def select_channel(self, name: str) -> Frames:
         """The frames in "dark", "red", "green", "blue" or a plane of `colour_planes`.
 
-        "dark" is white less grey. Raises InputError for any other of a film in grey.
+        "dark" is white less grey. Raises InputError for any other than "dark" and "contrast" of a film in grey.
         """
         if name not in (*CHANNELS, DARK) and not is_plane(name):
-            known = ", ".join((*CHANNELS, DARK, *PLANES))
+            known = ", ".join((*CHANNELS, DARK, *PLANES, CONTRAST))
             raise InputError(f"--channel: expected one of {known} or #rrggbb, not {name!r}")
         colours = self.colours
         if name == GREY:
@@ -152,6 +152,8 @@ class Frames(Sequence[Any]):
                 return cv2.subtract(white, np.asarray(self[k]))
 
             return self.with_fetch(invert)
+        if name == CONTRAST:
+            return self._take_contrast()
         if colours is None:
             raise InputError(f"--channel: the film is in grey, expected no {name!r}")
         convert: Callable[[Any], Any] | None = None
@@ -168,6 +170,18 @@ class Frames(Sequence[Any]):
         out = self.with_fetch(fetch, np.uint8 if is_plane(name) else None)
         out.film_colours = colours
         return out
+
+    def _take_contrast(self) -> Frames:
+        """The frames in the plane "contrast"; it looks at the film when the first frame is asked for."""
+        convert: Callable[[Any], Any] | None = None
+
+        def fetch(k: int) -> Any:
+            nonlocal convert
+            if convert is None:
+                convert = read_contrast([np.asarray(self[row]) for row in spread_frames(self)])
+            return convert(np.asarray(self[k]))
+
+        return self.with_fetch(fetch, np.uint8)
 
     def white(self, pictures: Sequence[Any]) -> float:
         """The count of white: 255, or the largest of these pictures where the film has more bits."""

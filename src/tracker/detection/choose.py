@@ -13,7 +13,7 @@ from scipy.special import ive
 from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
-from tracker.camera.camera_keys import CHANNELS, PLANES
+from tracker.camera.camera_keys import CHANNELS, CONTRAST, PLANES
 from tracker.camera.colour_planes import PLATE, read_plane
 from tracker.camera.film_options import BallExample, parse_colour
 from tracker.camera.frames import GREY, Frames, pick_spread, spread_frames
@@ -124,11 +124,22 @@ def choose_channel(frames: Frames, camera: Camera, *, whole: bool = True) -> tup
     longest_side_px = 960  # of the pictures that are compared
     min_score = 3.0  # least bodies in the 15 frames that another channel than grey must show
     more_bodies = 1.3  # at 1.3 or more, grey hides at least one of four balls
-    if frames.colours is None:
-        return GREY, ""
     picks = pick_spread(range(len(frames)), 15)
     shrink = min(1.0, longest_side_px / max(frames.shape[1:]))
     expected = shrink * camera.diameter_px / 2 if camera.knows_diameter else None
+    if frames.colours is None:
+        if not shows_two_tones(frames):
+            return GREY, ""
+        grey, contrast = (
+            _rate_plane([_shrink(film[k], shrink) for k in picks], expected)
+            for film in (frames, frames.select_channel(CONTRAST))
+        )
+        if contrast.score < min_score or contrast.bodies < 2 * grey.bodies:
+            return GREY, ""
+        return CONTRAST, (
+            f"channel: {CONTRAST}, because it shows {contrast.describe()}, and grey {grey.describe()}: bodies have a "
+            "bright and a dark part. Shadows count as parts of them; --channel overrides this"
+        )
     colours = [_shrink(frames.colours(k), shrink) for k in picks]
     found = {GREY: _rate_plane([_shrink(frames[k], shrink) for k in picks], expected)}
     white = frames.white(colours)
@@ -159,6 +170,21 @@ def choose_channel(frames: Frames, camera: Camera, *, whole: bool = True) -> tup
         f"channel: {best}, because it shows {found[best].describe()}, and grey {found[GREY].describe()}; "
         f"--channel overrides this{hint}"
     )
+
+
+def shows_two_tones(frames: Frames, min_share: float = 0.2) -> bool:
+    """Decide whether much of a film in grey becomes brighter, and as much darker, by bodies or their shadows.
+
+    min_share: of the pixels that are brighter among those that differ, or of the darker ones.
+    """
+    level, noise = sample_plate(frames)
+    least, plate = _least_contrast(noise), level.astype(np.float32)
+    for k in spread_frames(frames, 3):
+        off = np.asarray(frames[k], np.float32) - plate
+        fewer, more = sorted((np.count_nonzero(off > least), np.count_nonzero(off < -least)))
+        if fewer < max(MIN_BODY_AREA_PX, min_share * (fewer + more)):
+            return False
+    return True
 
 
 def _count_on_plate(colours: list[NDArray[Any]], white: float, diameter: float | None) -> BallsOnPlate:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
-from tracker_discs import CAMERA, SIZE, apart, disc, film
+from tracker_discs import CAMERA, SIZE, apart, disc, film, lit_film
 
 import tracker
 from synthcam_shared.errors import InputError
@@ -106,3 +106,37 @@ def test_balls_beside_a_sleeve_that_covers_much_more_are_no_noise():
 def test_a_channel_that_is_not_there_is_one_line(pictures, name, said):
     with pytest.raises(InputError, match=said):
         tracker.track(pictures, channel=name)
+
+
+def striped(ways, radius=18.0, light=200.0, dark=15.0, ground=80.0, noise=1.5):
+    """uint8 frames (n, h, w) in grey of discs with a dark stripe that turn."""
+    rng, rows, columns, out = np.random.default_rng(2), *np.indices(SIZE), []
+    for k in range(ways.shape[1]):
+        picture = np.full(SIZE, ground)
+        for number, way in enumerate(ways):
+            angle = 0.15 * k + number
+            across = (columns - way[k, 0]) * np.cos(angle) + (rows - way[k, 1]) * np.sin(angle)
+            own = gaussian_filter(np.where(np.abs(across) < radius / 2, dark, light), 0.7)
+            cover = disc(way[k], radius)
+            picture = picture * (1 - cover) + own * cover
+        out.append(np.clip(np.rint(picture + rng.normal(0, noise, SIZE)), 0, 255))
+    return np.array(out).astype(np.uint8)
+
+
+def test_discs_with_a_stripe_are_seen_in_their_contrast():
+    ways = apart(40)
+    pictures = striped(ways)
+    camera = CAMERA | {"ball_diameter": 0.036}
+    result = tracker.track(pictures, camera)
+    assert any(note.startswith("channel: contrast, because ") for note in map(str, result.notes))
+    assert result.tracks.groupby("particle").size().tolist() == [40, 40]
+    places = ways[:, result.tracks["frame"]]
+    miss = np.hypot(*np.moveaxis(places - result.tracks[["x", "y"]].to_numpy(), -1, 0)).min(axis=0)
+    assert np.sqrt((miss**2).mean()) < 0.3  # px
+    grey = tracker.track(pictures, camera, channel="grey")
+    assert len(grey.tracks) < 40
+
+
+def test_bright_discs_with_dark_shadows_stay_in_grey():
+    pictures = wrap_frames(lit_film(np.random.default_rng(0), apart(30)))
+    assert choose_channel(pictures, Camera.from_dict(CAMERA)) == ("grey", "")

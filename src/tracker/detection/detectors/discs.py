@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.steps import report_step
+from tracker.camera.camera_keys import CONTRAST
 from tracker.camera.colour_planes import PLATE, is_plane
 from tracker.camera.frames import Frames, pick_spread
 from tracker.detection.background.still_background import StillBackground, average_uncovered, estimate_still_background
@@ -37,6 +38,7 @@ from tracker.detection.outlines.disc_packing import ENLARGEMENT_PX, estimate_lea
 from tracker.detection.outlines.hidden_disc import fit_outline_circle
 
 PLATE_SHIFT_SHARE = 0.25  # shift of a lit disc in the plane of distances from the plate, over how much it is enlarged
+TURNING_ERROR_RADII = 0.02  # rms of a position where a shadow counts as part of a body with two tones, as it turns
 ContrastArea: TypeAlias = tuple[PixelRegion, NDArray[np.float32]]  # a region, and its difference from the background
 MAX_BLUR_AT_REST = 0.35  # displacement during the exposure, in radii, up to which a disc counts as at rest
 
@@ -556,6 +558,8 @@ class Discs:
             x, y = x - self.plate_shift[0], y - self.plate_shift[1]
             shift = PLATE_SHIFT_SHARE * (self.radius - self.apart / 2)
             cov, fixed = cov + shift**2 * np.eye(2), fixed + shift**2 * np.eye(2)
+        if self.view.channel == CONTRAST:
+            cov = cov + (TURNING_ERROR_RADII * self.radius) ** 2 * np.eye(2)
         rim = np.minimum.reduce([x, y, shape[1] - 1 - x, shape[0] - 1 - y]) <= radii
         flags |= np.where(rim, PositionFlag.EDGE, 0) | (PositionFlag.SHADED if self.is_shaded else 0)
         area = [np.pi * r**2 for r in radii]
