@@ -1,7 +1,7 @@
 """Chooses the detector and the colour channel that suit a film, from frames spread over it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -117,6 +117,7 @@ def choose_channel(frames: Frames, camera: Camera, *, whole: bool = True) -> tup
     if it has 1.3 times as many bodies, less the changes of their number. Bodies that cover little of what changes, and
     whose number changes as that of independent events does, are noise. If the camera knows the diameter of its balls,
     only bodies of about that size count. The second result is a note with the reason; '' for grey that no plane rivals.
+    A film in grey has the plane "contrast" besides.
 
     whole: whether the frames are the whole pictures. A part may show another plate than most of the picture, from which
     the plane "plate" is made.
@@ -128,17 +129,8 @@ def choose_channel(frames: Frames, camera: Camera, *, whole: bool = True) -> tup
     shrink = min(1.0, longest_side_px / max(frames.shape[1:]))
     expected = shrink * camera.diameter_px / 2 if camera.knows_diameter else None
     if frames.colours is None:
-        if not shows_two_tones(frames):
-            return GREY, ""
-        grey, contrast = (
-            _rate_plane([_shrink(film[k], shrink) for k in picks], expected)
-            for film in (frames, frames.select_channel(CONTRAST))
-        )
-        if contrast.score < min_score or contrast.bodies < 2 * grey.bodies:
-            return GREY, ""
-        return CONTRAST, (
-            f"channel: {CONTRAST}, because it shows {contrast.describe()}, and grey {grey.describe()}: bodies have a "
-            "bright and a dark part. Shadows count as parts of them; --channel overrides this"
+        return _choose_between_tones(
+            frames, lambda film: [_shrink(film[k], shrink) for k in picks], expected, min_score
         )
     colours = [_shrink(frames.colours(k), shrink) for k in picks]
     found = {GREY: _rate_plane([_shrink(frames[k], shrink) for k in picks], expected)}
@@ -169,6 +161,21 @@ def choose_channel(frames: Frames, camera: Camera, *, whole: bool = True) -> tup
     return best, (
         f"channel: {best}, because it shows {found[best].describe()}, and grey {found[GREY].describe()}; "
         f"--channel overrides this{hint}"
+    )
+
+
+def _choose_between_tones(
+    frames: Frames, sample: Callable[[Frames], list[NDArray[Any]]], expected: float | None, min_score: float
+) -> tuple[str, str]:
+    """Choose the plane of a film in grey: "contrast" if it shows at least twice as many bodies as grey does."""
+    if not shows_two_tones(frames):
+        return GREY, ""
+    grey, contrast = (_rate_plane(sample(film), expected) for film in (frames, frames.select_channel(CONTRAST)))
+    if contrast.score < min_score or contrast.bodies < 2 * grey.bodies:
+        return GREY, ""
+    return CONTRAST, (
+        f"channel: {CONTRAST}, because it shows {contrast.describe()}, and grey {grey.describe()}: bodies have a "
+        "bright and a dark part. Shadows count as parts of them; --channel overrides this"
     )
 
 
