@@ -97,11 +97,15 @@ def shows_gliding(
 ) -> bool:
     """Decide whether the bodies of a crowd glide, by the contacts after which a slide would be seen best.
 
+    Only contacts after which a slide would end count. A slide between contacts that follow fast looks like any push.
+
     found: contacts of the film as of bodies that slide. camera: does not say what carries the bodies. most: contacts
     that are asked.
     """
     tracks, pairs = {ball.particle: ball for ball in balls}, [contact for contact in found if len(contact.balls) == 2]
-    asked = _sort_by_slide(pairs, found, settings)[:most]
+    ends = max((float(ball.time[-1]) for ball in balls), default=0.0)
+    sorted_ = _sort_by_slide(pairs, found, settings)
+    asked = [k for k in sorted_ if _would_end_slide(pairs[k], found, settings, ends)][:most]
     fits = run_together([_estimate_in_steps(pairs[k], found, tracks, camera, settings) for k in asked])
     estimates = [each for _, each in fits if isinstance(each, LocalEstimate)]
     return bool(find_gliding_hits([{"motion_local": GLIDE if each.glides else ROLL} for each in estimates]))
@@ -264,6 +268,17 @@ def _seen_slide(contact: TrackContact, found: Sequence[TrackContact], settings: 
     after = [c for c in found if c.time > contact.time]
     ends = (min((c.time for c in after if ball in c.balls), default=np.inf) for ball in contact.balls)
     return min(_slide_duration(contact, settings), max(ends) - contact.time)
+
+
+def _would_end_slide(
+    contact: TrackContact, found: Sequence[TrackContact], settings: FitSettings, film_ends: float
+) -> bool:
+    """Decide whether the slide of a ball would end before its next contact, and no slide of both lasts from before."""
+    if all(_end_slide(ball, contact, found, settings) > contact.time for ball in contact.balls):
+        return False
+    after = [c for c in found if c.time > contact.time]
+    ends = [min((c.time for c in after if ball in c.balls), default=film_ends) for ball in contact.balls]
+    return max(ends) - contact.time > _slide_duration(contact, settings)
 
 
 def _still_slides(

@@ -120,6 +120,26 @@ def test_pucks_glide_by_their_tracks_where_the_camera_file_does_not_say_so():
     assert not balls.estimates["flags"].str.contains("glide").any()
 
 
+def test_balls_that_always_slide_from_contact_to_contact_do_not_glide():
+    """A dense tray at 4,000 frames a second: its contacts follow one another before slides end."""
+    half = 0.0145
+    corners = [[-half, -half], [half, -half], [half, half], [-half, half]]
+    walls = [
+        {"start": a, "end": b, "restitution": 0.8, "friction": 0.2}
+        for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+    ]
+    clip = synthcam.Scene.read(
+        "dense",
+        groups=[{"count": 100, "arrangement": "lattice", "size": [0.0264, 0.0264], "rms_speed": 0.08}],
+        walls=walls,
+        timing={"frames": 60, "fps": 4000, "exposure": 1e-5},
+        camera={"size": [300, 300], "scale": 1e-4},
+    ).draw(seed=3)
+    result = tracker.measure(add_noise(clip, NOISE_PX, 3), clip.camera_json)
+    assert np.isfinite(result.estimates["r_local"]).sum() >= 5
+    assert not result.estimates["flags"].str.contains("glide").any()
+
+
 @pytest.mark.gate
 def test_impulses_kicks_and_friction_are_those_of_the_simulation():
     clip, _ = measured("crowd", 1)
