@@ -236,7 +236,8 @@ def _expect_slips(stretches: Sequence[Stretch], instant: float) -> KnownSlips:
 
     The struck ball has no spin but what the surfaces give it. That of the striker may be any, because it may have slid.
     """
-    share, share_error, least = 0.2, 0.2, 0.05
+    share, share_error = 0.2, 0.2  # of the speed of approach, by which the surface of a striker that rolls drags it
+    least = 0.05  # of the speed of the struck ball, any other error
     velocity = {(s.ball, s.after): fit_line(s, instant)[1] for s in stretches}
     struck, approach = velocity[1, True], float(np.hypot(*velocity[2, False]))
     speed = max(float(np.hypot(*struck)), 1e-9)
