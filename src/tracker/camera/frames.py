@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
@@ -153,35 +154,32 @@ class Frames(Sequence[Any]):
 
             return self.with_fetch(invert)
         if name == CONTRAST:
-            return self._take_contrast()
+
+            def read_grey(k: int) -> Any:
+                return np.asarray(self[k])
+
+            return self._convert_later(
+                lambda: read_contrast(list(map(read_grey, spread_frames(self)))), read_grey, np.uint8
+            )
         if colours is None:
             raise InputError(f"--channel: the film is in grey, expected no {name!r}")
-        convert: Callable[[Any], Any] | None = None
 
         def sample() -> list[Any]:
             return [np.asarray(colours(k)) for k in sorted({*np.linspace(0, len(self) - 1, 9).astype(int).tolist()})]
 
-        def fetch(k: int) -> Any:
-            nonlocal convert
-            if convert is None:  # planes look at the film when the first frame is asked for
-                convert = read_plane(name, sample, self.white(sample() if self.dtype != np.uint8 else ()))
-            return convert(colours(k))
+        def make() -> Callable[[Any], Any]:
+            return read_plane(name, sample, self.white(sample() if self.dtype != np.uint8 else ()))
 
-        out = self.with_fetch(fetch, np.uint8 if is_plane(name) else None)
+        out = self._convert_later(make, colours, np.uint8 if is_plane(name) else None)
         out.film_colours = colours
         return out
 
-    def _take_contrast(self) -> Frames:
-        """The frames in the plane "contrast"; it looks at the film when the first frame is asked for."""
-        convert: Callable[[Any], Any] | None = None
-
-        def fetch(k: int) -> Any:
-            nonlocal convert
-            if convert is None:
-                convert = read_contrast([np.asarray(self[row]) for row in spread_frames(self)])
-            return convert(np.asarray(self[k]))
-
-        return self.with_fetch(fetch, np.uint8)
+    def _convert_later(
+        self, make: Callable[[], Callable[[Any], Any]], read: Callable[[int], Any], dtype: Any
+    ) -> Frames:
+        """The frames in a plane; `make` looks at the film when the first frame is asked for."""
+        made = cache(make)
+        return self.with_fetch(lambda k: made()(read(k)), dtype)
 
     def white(self, pictures: Sequence[Any]) -> float:
         """The count of white: 255, or the largest of these pictures where the film has more bits."""
