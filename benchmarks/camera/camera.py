@@ -51,6 +51,7 @@ AT_MOST = {
     "primary flux, relative": 0.01,
     "secondary place, px rms": 0.01,
     "secondary flux, relative": 0.02,
+    "flux of a pair's glints as drawn, relative": 0.01,
     "light between mirrors": 0.01,  # at each gap
     "crowd, primary place": 0.003,
     "crowd, secondary place": 0.003,
@@ -77,10 +78,14 @@ def still(centres: Array) -> Any:
 
 
 def glints(pairs: int, rng: np.random.Generator) -> dict[str, float]:
-    """Pairs at contact and apart, anywhere in view: places and fluxes as drawn less those traced."""
+    """Pairs at contact and apart, anywhere in view: places as drawn and fluxes as found less those traced.
+
+    Glints of three and more reflections overlap those of two. So only their sum shows the flux that is drawn.
+    """
     film = MirrorRenderer(overhead(), LAMP, [R, R], room=0.0)
     positions: dict[int, list[float]] = {1: [], 2: []}
     fluxes: dict[int, list[float]] = {1: [], 2: []}
+    sums: list[float] = []
     for k in range(pairs):
         gap = 2 * R * (1 if k % 2 else 1 + rng.exponential(0.3))
         turn = rng.uniform(0, 2 * np.pi)
@@ -96,20 +101,21 @@ def glints(pairs: int, rng: np.random.Generator) -> dict[str, float]:
         ]
         spots = [camera_reference.spot(film.camera, image.shape, *found) for found in traced]
         at = np.array([position for position, _, _ in traced])
-        offsets, shares = camera_reference.separate(image, spots, at)
+        offsets = camera_reference.separate(image, spots, at)
+        sums.append(image.sum() / sum(flux for _, flux, _ in traced) - 1)
         for j, order in enumerate(near.order.tolist()):
             crowd = np.linalg.norm(np.delete(at, j, axis=0) - at[j], axis=1)
             if order > 2 or crowd.min(initial=9) < 1:
                 continue  # spots that overlap have no centres of their own
             positions[order].append(float(np.linalg.norm(offsets[j])))
-            fluxes[order].append(float(shares[j] - 1))
+            fluxes[order].append(float(near.flux[j] / traced[j][1] - 1))
     out = {}
     for order, name in ((1, "primary"), (2, "secondary")):
         out[f"{name} place, px rms"] = float(np.sqrt(np.mean(np.square(positions[order])) / 2))
         out[f"{name} place, px worst"] = float(np.max(positions[order]))
         out[f"{name} flux, relative"] = float(np.abs(fluxes[order]).max())
         out[f"{name} glints"] = len(positions[order])
-    return out
+    return out | {"flux of a pair's glints as drawn, relative": float(np.abs(sums).max())}
 
 
 def crowd(rng: np.random.Generator) -> dict[str, float]:

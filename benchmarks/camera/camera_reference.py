@@ -109,8 +109,8 @@ def spot(camera: PinholeCamera, shape: tuple[int, ...], position: Array, flux: f
     return np.asarray(flux * np.outer(*sides))
 
 
-def separate(image: Array, spots: Sequence[Array], positions: Array) -> tuple[Array, Array]:
-    """Offsets (n, 2) px and relative fluxes (n,) of overlapping spots (n, h, w), by least squares."""
+def separate(image: Array, spots: Sequence[Array], positions: Array) -> Array:
+    """Offsets (n, 2) px of overlapping spots (n, h, w), by least squares."""
     columns: list[Array] = []
     for spot in spots:
         down, across = (np.asarray(slope) for slope in np.gradient(spot))
@@ -120,7 +120,7 @@ def separate(image: Array, spots: Sequence[Array], positions: Array) -> tuple[Ar
         used[max(y - 6, 0) : y + 7, max(x - 6, 0) : x + 7] = True
     shapes: Array = np.stack([c[used] for c in columns], axis=1)
     found = np.linalg.lstsq(shapes, image[used], rcond=None)[0].reshape(-1, 3)
-    return np.asarray(found[:, 1:] / found[:, :1], dtype=float), np.asarray(found[:, 0], dtype=float)
+    return np.asarray(found[:, 1:] / found[:, :1], dtype=float)
 
 
 def window(camera: PinholeCamera, centres: Array) -> tuple[Ints, Ints]:
