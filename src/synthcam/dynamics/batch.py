@@ -71,7 +71,7 @@ class CollisionBatch:
     segments: list[Segment] = field(default_factory=list)
     # (2n, e): times at which the motion of a ball has a kink, padded with infinity
     breaks: Array = field(default_factory=lambda: np.empty((0, 0)))
-    # (2n,): when each ball stops sliding; its t_c if it never slid
+    # (2n,): when each ball stops sliding; its t_c if it never slid, at least its end if it then still slides
     slide_ends: Array = field(default_factory=lambda: np.empty(0))
     # collisions in which a ball stops and starts again; `solve` takes them over
     restarting: set[int] = field(default_factory=set)
@@ -434,7 +434,8 @@ class _BatchSolver:
         modes = classify_modes(states[who], self.bodies.radius[who])
         states[who], now[who] = step.final_states, snap_to_goal(now[who] + step.durations, self.ends[who])
         slid, ended = who[step.ended & (modes == SLIDE)], who[step.ended & (modes != FLY)]
-        self.out.slide_ends[slid], self.floor[slid] = now[slid], np.inf
+        self.out.slide_ends[who[modes == SLIDE]] = now[who[modes == SLIDE]]  # or later, where it goes on
+        self.floor[slid] = np.inf
         if len(ended):
             self._add_kink(ended, now[ended])
 

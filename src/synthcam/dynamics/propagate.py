@@ -287,13 +287,14 @@ Steps = Iterator[tuple[Index, IntegrationStep]]
 def propagate(balls: BallStates, goal: Array) -> Steps:
     """Integrate the next step of k units, balls or pairs, towards `goal`, s from now (k,), which may be negative.
 
-    A step ends at the latest with the first slide, roll or flight of a unit that ends. Yields the numbers of the units
-    that make a step, and the step of their balls.
+    A slide of a lone ball that lasts far beyond the goal is followed over time, and only until then. A step ends at the
+    latest with the first slide, roll or flight of a unit that ends. Yields the numbers of the units that make a step,
+    and the step of their balls.
     """
     k = len(balls)
     spans, ender, drills = np.zeros(k), np.zeros(k, dtype=np.intp), np.zeros(k, bool)
     stops = balls.any_of_unit(balls.slow)
-    if balls.each > 1 or not np.all(balls.modes == SLIDE) or np.any(goal < 0):
+    if balls.each > 1 or not np.all(balls.modes == SLIDE) or not np.all(goal == np.inf):
         spans, ender, drills = _plan_steps(balls, goal)
     for some in (stops, ~stops & (ender >= 0) & drills, ~stops & (ender >= 0) & ~drills, ~stops & (ender < 0)):
         if some.any():
@@ -303,6 +304,7 @@ def propagate(balls: BallStates, goal: Array) -> Steps:
 def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Index, Flags]:
     """Return how long the next steps may be, (k,); which ball's slide ends each, or -1; and whether it drills."""
     max_growth = 3.0  # of the distance of two balls within a step
+    far_beyond = 1.5  # the goal; a push may end a slide earlier than it seems at first
     phase = PhaseIntegrator(balls, goal, np.full(len(balls), -1))
     dq, slowing, *_ = phase.evaluate_forces(phase.first, phase.start)
     dq = dq + np.zeros((2, *phase.first.shape))
@@ -325,7 +327,8 @@ def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Index, Flags]:
         limit = np.minimum(limit, share * far / np.maximum(speed, TINY))
     spans = np.where(ends > 1.25 * limit, limit, np.minimum(ends, limit) / 2)
     drills = drills.reshape(balls.each, -1)[ender, np.arange(len(balls))]
-    return np.copysign(spans, goal), np.where(ends < 0.8 * half, ender, -1), drills
+    ends_slide = (ends < 0.8 * half) & ((balls.each > 1) | (ends < far_beyond * np.abs(goal)))
+    return np.copysign(spans, goal), np.where(ends_slide, ender, -1), drills
 
 
 def _propagate_units(

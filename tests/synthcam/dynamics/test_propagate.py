@@ -9,6 +9,8 @@ from synthcam.dynamics.forces import BallStates, find_ending_slip
 from synthcam.dynamics.kinematics import contact_velocity, roll, rolling_state, rolling_velocity, slide
 from synthcam.dynamics.propagate import propagate, propagate_back
 from synthcam.effects.plate_tilt import PlateTilt
+from synthcam.effects.plate_waviness import PlateWaviness
+from synthcam.effects.stribeck import Stribeck
 from synthcam.model import Model
 
 START = np.array(
@@ -102,6 +104,43 @@ def test_a_slide_unbent_is_the_parabola():
 def test_a_push_that_friction_cannot_end_is_refused():
     with pytest.raises(ValueError, match="does not end the slide"):
         slides(Model(sliding_friction=0.01, effects=(PlateTilt(x=0.09),)), START, BALLS)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.6])
+def test_a_slide_is_followed_until_its_goal(share):
+    run = slide_by_hand(START[0], [0.0, 1.0])
+    goal = share * run.t[-1]
+    ((_, step),) = propagate(BallStates(BENT, BALLS[:1], START[:1], np.array([np.inf])), np.array([goal]))
+    assert step.durations[0] >= goal
+    times = np.linspace(0, goal, 50)
+    np.testing.assert_allclose(step.motion.at(times[None])[0, :, [0, 1, 3, 4]], run.sol(times)[:4], rtol=0, atol=1e-10)
+
+
+def test_a_slide_that_ends_before_its_goal_after_all():
+    """Friction that grows as the slip falls ends a slide in half of the time that its start promises."""
+    model = Model(effects=(Stribeck(rise=5.0, slip=0.15),))
+    whole = slides(model, START[:1], BALLS[:1])
+    goal, ended = 1.01 * whole.durations, False
+    state, now = START[:1], np.zeros(1)
+    first = np.hypot(*contact_velocity(state, R)[0])
+    assert first / (3.5 * 9.81 * model.laws("friction", 0.232, {"slip_speed": first})) > 1.5 * goal
+    while not ended:
+        ((_, step),) = propagate(BallStates.without_drilling(model, BALLS[:1], state), goal - now)
+        state, now, ended = step.final_states, now + step.durations, step.ended[0]
+    assert now == pytest.approx(whole.durations, rel=1e-9)
+    np.testing.assert_allclose(state, whole.final_states, rtol=1e-9, atol=1e-12)
+
+
+def test_waves_beyond_the_goal_cost_nothing(monkeypatch):
+    """A slide of metres over waves of millimetres, which is seen for its first millimetres."""
+    nodes, evaluate = [], PlateWaviness.push
+    monkeypatch.setattr(PlateWaviness, "push", lambda *args: nodes.append(args[2].shape[1]) or evaluate(*args))
+    state = START[:1] * np.array([1, 1, 1, 1, 1, 1, 300, 300, 0])
+    balls = BallStates.without_drilling(Model(effects=(PlateWaviness(a=2e-6, wavelength=6e-3),)), BALLS[:1], state)
+    ((_, step),) = propagate(balls, np.array([0.01]))
+    assert step.durations == [0.01]
+    assert np.hypot(*contact_velocity(step.final_states, R)[0]) > 10
+    assert sum(nodes) < 1000
 
 
 def pieced(pieces, times):
