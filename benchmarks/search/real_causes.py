@@ -15,13 +15,13 @@ another machine searches them without the clones. Each set then gets one known c
 - lens: r (1 + k r^2) about the middle of the picture;
 - aspect: one axis longer by a factor;
 - time: all times longer by a factor;
-- time of half: the times of every second recording longer by a factor;
-- mass of ball a: camera files with another mass, by 10 and 20 %, with which the hits are measured again.
+- time of half: the times of every second recording longer by a factor.
 
-Other strengths are 5 and 10 times the detection limit of the search of the same tracks without the cause, but at most
-0.8 of the largest value that the effect may have. If that is below 3 limits, the strength is a few per cent. A line for
-each set says what was put in, what was named, and with which value. Free stretches cannot show the time of all
-recordings, as the effect `clock_error` proves: there the right answer is to name nothing.
+Strengths are 5 and 10 times the detection limit of the search of the same tracks without the cause, but at most 0.8 of
+the largest value that the effect may have. If that is below 3 limits, the strength is a few per cent. A line for each
+set says what was put in, what was named, and with which value. Free stretches cannot show the time of all recordings,
+as the effect `clock_error` proves: there the right answer is to name nothing. Neither can they show masses, which
+`benchmarks.real.masses` changes.
 
 A run that was stopped continues: sets whose line the output has are not searched again. Each line says by which commit
 it was made. The tables of docs/background/real_causes.md are printed at the end, or from an output with --table.
@@ -38,7 +38,6 @@ effect, by one linear step from its base model. `z` is the error of the size, fo
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import math
 import os
@@ -57,14 +56,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.real.hits import READERS, measure_hit
 from benchmarks.real.recordings import RecordedHit, read_balls, read_billiards, read_discs, read_pucks
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.contacts import Contacts
 from discrepancy.data.launch import T_C, V0
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.search import search
-from discrepancy.select.contact_effects import ContactClaim, select_contact_laws
 from discrepancy.wording import describe_search
 from synthcam.library import library
 from synthcam.model import Model, as_model
@@ -73,7 +69,6 @@ from synthcam_shared.errors import InputError
 from tracker.calibration.camera_warp import fit_camera_warp
 from tracker.calibration.free_stretches import find_free_stretches
 from tracker.camera.camera import Camera
-from tracker.measurement.local.local_columns import calibrate_set
 from tracker.measurement.positions import BallTrack
 from tracker.measurement.stretch_cuts import measure_path_noise
 
@@ -432,14 +427,9 @@ def main() -> None:
     given.output.parent.mkdir(parents=True, exist_ok=True)
     known = [line for line in read_lines(given.output) if not line.get("cut_short")] if given.output.exists() else []
     done = {(line["set"], line["cause"], line["times"]): line for line in known}
-    masses = any("mass".startswith(only[:4]) for only in given.only.split(","))
-    masses = masses and not any(line["cause"] == "mass of ball a" for line in known)
-    clones = [(source, find_laboratory(source)) for source in given.sources if source.is_dir() and masses]
-    recoils = (line for source, name in clones for line in relabel_masses(name, LABORATORIES[name][0](source)))
     commit = find_commit()
     with given.output.open("a") as file:
-        searched = run_all(sets, tuple(given.only.split(",")), given.minutes, given.jobs, done)
-        for line in itertools.chain(recoils, searched):
+        for line in run_all(sets, tuple(given.only.split(",")), given.minutes, given.jobs, done):
             show(line | {"commit": commit}, file)
     print(render_tables(read_lines(given.output)))
 
@@ -468,9 +458,8 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
 
 def render_tables(lines: Sequence[dict[str, Any]]) -> str:
     """Render the lines of sets as a table of results, one of their sums, and the commits that made them."""
-    sets = [line for line in lines if line["cause"] != "mass of ball a"]
-    commits = ", ".join(sorted({line.get("commit", "unknown") for line in sets}))
-    return "\n\n".join([render_results(sets), render_sums(sets), f"commits: {commits}"])
+    commits = ", ".join(sorted({line.get("commit", "unknown") for line in lines}))
+    return "\n\n".join([render_results(lines), render_sums(lines), f"commits: {commits}"])
 
 
 def render_results(lines: Sequence[dict[str, Any]]) -> str:
@@ -625,34 +614,6 @@ def put_causes(bare: CausedSet, line: dict[str, Any], only: tuple[str, ...]) -> 
             done = strength
             clips = [cause.apply(clip, strength) for clip in bare.clips]
             yield replace(bare, clips=clips, cause=cause, times=times, strength=strength)
-
-
-def relabel_masses(name: str, hits: Sequence[RecordedHit]) -> Iterator[dict[str, Any]]:
-    """Give ball a of the camera files another mass, and measure the hits again with it."""
-    base = measure_recoil(name, hits, 0.0)
-    for share in (0.0, 0.1, -0.1, 0.2, -0.2) if base else ():
-        found = measure_recoil(name, hits, share)
-        line: dict[str, Any] = {"set": name, "cause": "mass of ball a", "times": None, "strength": share}
-        line |= {"shown": True, "verdict": "", "named": False, "false": []}
-        if found and base:
-            line |= {"named": "mass_mismatch" in found.causes, "law": found.law, "causes": found.causes}
-            line["false"] = [] if share else list(found.causes)
-            number = found.numbers[0] if found.numbers else replace(found.mean, value=0.0)
-            line |= {"size": number.value, "std": number.std, "mean": found.mean.value, "without": base.mean.value}
-        yield line
-
-
-def measure_recoil(name: str, hits: Sequence[RecordedHit], share: float) -> ContactClaim | None:
-    """Measure the recoil with ball a heavier by a share in the camera files; None of too few contacts."""
-    given = []
-    for hit in hits:
-        one, two = hit.camera.get("ball_masses", [1.0, 1.0])
-        given.append(replace(hit, camera=hit.camera | {"ball_masses": [one * (1 + share), two]}))
-    rows = calibrate_set([measure_hit(hit, READERS[name][0]) | {"clip": k} for k, hit in enumerate(given)])
-    for row in rows:
-        row["striker"] = "a" if row.get("particle2") == 0 else "b"
-    stated = {k: hit.camera["ball_masses"][0] / hit.camera["ball_masses"][1] for k, hit in enumerate(given)}
-    return next((c for c in select_contact_laws(Contacts.of(rows, stated)) if c.quantity == "recoil"), None)
 
 
 def _measure_information(fit: ModelFit, columns: Sequence[Array]) -> Array:

@@ -23,11 +23,13 @@ from tracker.measurement.local.recommendation import NONE, recommend
 from tracker.recording import Result
 from tracker.results import read_clip
 from tracker.results import read_contact_table as read_all_contacts
+from tracker.settings import FitSettings
 
 NAMES = ("v0", "b", "r", "s", "mass_ratio")  # what is read of the local estimate
 QUANTITIES = ("restitution", "friction", "recoil")
 SLIP_COLUMNS = ("slip_t", "slip_t_std", "slip_down", "slip_down_std", "slip")
 MAX_SHARED = 0.95  # of the error of a contact, what it shares with others
+MAX_BIAS = 2 * FitSettings().local_velocity_error  # of momentum along n, over the normal speed: four usual errors
 NODES = 7  # of a quadrature over the error of each component of a slip
 
 
@@ -138,8 +140,15 @@ class Contacts:
 
         Balances of a crowd may show errors that are smaller than the effect of the friction, which all share. An effect
         is then limited, so that each contact keeps an error of its own.
+
+        Momentum that all hits lose may be an error of velocities, as far as that is usual. The rest is a mass or a law.
         """
         std, effects = getattr(self, f"{quantity}_std"), self.shared[:, QUANTITIES.index(quantity)]
+        if quantity == "recoil" and not self.of_crowd.any():
+            size = np.sqrt((effects**2).sum(axis=1))
+            usual = MAX_BIAS * 2 / (1 + np.nan_to_num(self.restitution, nan=1.0))
+            limited = effects * np.minimum(1.0, usual / np.maximum(size, 1e-300))[:, None]
+            return remove_shared(std, effects[:, None]), limited
         size = np.sqrt((effects**2).sum(axis=1))
         most = np.where(self.of_crowd, MAX_SHARED * std, np.inf)
         limited = effects * np.minimum(1.0, most / np.maximum(size, 1e-300))[:, None]

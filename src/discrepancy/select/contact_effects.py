@@ -100,6 +100,11 @@ class ContactLaw:
         """Give its name; a body that is heavier by a negative share is lighter."""
         return self.name.replace("heavier", "lighter") if fit.coefficients.sum() < 0 else self.name
 
+    def list_causes(self, fit: _Fit) -> tuple[str, ...]:
+        """List its causes; a hop takes momentum away, so it never makes the struck body seem lighter."""
+        lighter = "hop" in self.causes and fit.design.shape[1] == 1 and fit.coefficients.sum() < 0
+        return tuple(cause for cause in self.causes if not (lighter and cause == "hop"))
+
     def is_shown(self, fit: _Fit, contacts: Contacts) -> bool:
         """Decide whether more than one contact shows it, if it is one of several of its kind.
 
@@ -336,7 +341,7 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
     return ContactClaim(
         quantity=quantity,
         law=law.describe(fit),
-        causes=tuple(dict.fromkeys(c for k in (best, *near) for c in laws[k].causes)) if best else (),
+        causes=tuple(dict.fromkeys(c for k in (best, *near) for c in laws[k].list_causes(fits[k]))) if best else (),
         numbers=_fit_numbers(fit.value[own], safe[own], shared[own], fit.design[own], law.numbers),
         contacts=round(float(contacts.share.sum())),
         scatter=fit.scatter,

@@ -8,8 +8,10 @@ from collections import Counter
 import numpy as np
 import pandas as pd
 
-from tracker.measurement.collision.adequacy import MEASURED, MISFIT, Flag, find_gliding_hits
+from tracker.measurement.collision.adequacy import CROWD, MEASURED, MISFIT, Flag, find_gliding_hits
 from tracker.notes import Note, NoteKind
+
+MAX_USUAL_BIAS = 0.05  # of the normal speed: twice what four velocities with the usual error make
 
 _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
     **dict.fromkeys(
@@ -163,6 +165,13 @@ def _describe_masses(used: pd.DataFrame, hits: int) -> list[str]:
             f" {_count(int(lost.sum()))}. By recoil the struck ball has {np.median(ratio[lost]):.3g} times the mass of"
             " the striker. ball_masses is [ball a, ball b], and b is the striker if no column striker says otherwise:"
             " check which ball is which"
+        )
+    bias = float(used["local_bias"].iloc[0])
+    if hits and abs(bias) > MAX_USUAL_BIAS and not (used["status"] == CROWD).any():
+        texts.append(
+            f"masses: momentum along the line of centres changes by {bias:.1%} of the normal speed. Errors of"
+            f" velocities rarely exceed {MAX_USUAL_BIAS:.0%}. Check ball_masses of the camera file, and whether bodies"
+            " lift off or touch something else"
         )
     # effects of the camera may name it too
     fitted = used[["mass_ratio" in effects for effects in used["local_shared"].map(json.loads)]]

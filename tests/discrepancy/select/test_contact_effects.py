@@ -117,6 +117,22 @@ def test_the_bias_of_a_set_does_not_average_out():
     assert recoil.mean.std > 0.015
 
 
+@pytest.mark.parametrize(
+    ("bias", "law", "causes"),
+    [
+        (-0.15, "the struck body seems heavier by a share", ("mass_mismatch", "hop")),
+        (0.15, "the struck body seems lighter by a share", ("mass_mismatch",)),  # a hop takes momentum away
+    ],
+)
+def test_a_bias_beyond_errors_of_velocities_is_a_mass(bias, law, causes):
+    """The same body strikes in all hits. No tracker errs by 15 % of the normal speed."""
+    rows = calibrate_set(draw_rows(40, 0.003, 0.003, bias=bias, seed=1))
+    more = {"striker": "b", "b_local": 0.01, "b_local_std": 0.01}
+    recoil = law_of(Contacts.of([row | more | {"clip": k} for k, row in enumerate(rows)]), "recoil")
+    assert (recoil.law, recoil.causes) == (law, causes)
+    assert recoil.numbers[0].std == pytest.approx(0.025 * 2 / 1.8, rel=0.2)
+
+
 def test_one_film_of_many_contacts_shows_a_law():
     contacts = draw(restitution=lambda c: 0.95 - 0.2 * c.speed_n)
     one_film = dataclasses.replace(contacts, clip=np.zeros(len(contacts), dtype=int))

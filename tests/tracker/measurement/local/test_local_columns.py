@@ -113,6 +113,14 @@ def test_a_bias_changes_no_value_and_counts_as_an_error():
         assert after["r_local_std"] > 0.05
 
 
+@pytest.mark.parametrize(("bias", "said"), [(-0.09, 1), (0.09, 1), (-0.02, 0)])
+def test_a_bias_beyond_errors_of_velocities_asks_for_the_masses(bias, said):
+    empty = make_empty_row(Camera.from_dict(CAMERA), "misfit")
+    table = pd.DataFrame([empty | row for row in calibrate_set(draw_rows(40, 0.003, 0.003, bias))])
+    notes = [str(note) for note in list_messages(table) if "of the normal speed. Errors of velocities" in str(note)]
+    assert len(notes) == said
+
+
 @pytest.mark.parametrize("bias", [0.0, 0.002, 0.01])
 def test_a_bias_below_its_error_is_still_a_common_error(bias):
     """Head-on hits show the mean of the balance to the mean error of one, 0.006 sqrt(3), over sqrt(n)."""
