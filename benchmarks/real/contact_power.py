@@ -86,7 +86,7 @@ def select_with_friction(contacts: Contacts) -> Contacts:
 def draw_set(truth: ContactTruth, designs: Sequence[HitDesign], draw: int) -> dict[str, Any]:
     """Simulate and measure all hits: their contacts and the bias of the set, as plain lists."""
     waves = draw_waves(np.random.default_rng(draw))
-    hits = [simulate_hit(one, truth, np.random.default_rng([draw, k]), waves) for k, one in enumerate(designs)]
+    hits = [simulate_hit(one, truth, np.random.default_rng([draw, k]), waves).hit for k, one in enumerate(designs)]
     rows, contacts = measure_set(hits)
     lists = {f.name: getattr(contacts, f.name).tolist() for f in fields(contacts)}
     return {"contacts": lists, "bias": next(row["local_bias"] for row in rows if np.isfinite(row["local_bias"]))}

@@ -93,7 +93,27 @@ def read_design(hit: RecordedHit, row: Mapping[str, Any]) -> HitDesign:
     )
 
 
-def simulate_hit(design: HitDesign, truth: ContactTruth, rng: np.random.Generator, waves: Array) -> RecordedHit:
+@dataclass(frozen=True)
+class SimulatedHit:
+    """A simulated hit, and the velocities (2, 2) of target and striker just before and after the contact, m/s."""
+
+    hit: RecordedHit
+    before: Array
+    after: Array
+    normal: Array  # (2,) from the target to the striker
+
+    def find_truth(self) -> dict[str, float]:
+        """Find the true values of the quantities of a local estimate."""
+        tangent = np.array([-self.normal[1], self.normal[0]])
+        (closing, across), (parting, across_after) = (
+            (one[0] - one[1]) @ np.stack([self.normal, tangent], axis=1) for one in (self.before, self.after)
+        )
+        truth = {"v0": float(np.hypot(*self.before[1])), "r": -parting / closing, "s": across_after / across}
+        truth["impact_energy"] = float((self.after**2).sum() / (self.before**2).sum())
+        return truth | {f"v{k + 1}o{axis}": self.after[k, j] for k in (0, 1) for j, axis in enumerate("xy")}
+
+
+def simulate_hit(design: HitDesign, truth: ContactTruth, rng: np.random.Generator, waves: Array) -> SimulatedHit:
     """Simulate a hit of a design by other laws; waves (k, 2, 3): the map of the camera, as `draw_waves` draws it."""
     radius = design.hit.camera["ball_diameter"] / 2
     model = truth.make_model(2 * radius, rng.normal(RESTITUTION, RESTITUTION_SCATTER))
@@ -113,7 +133,12 @@ def simulate_hit(design: HitDesign, truth: ContactTruth, rng: np.random.Generato
         after = solve(_draw_stretch(model, rng), launch, design.contact_s, float(time.max()), finish_slides=False)
         xy[rows] = after.at_one(0, time[rows])[:, :2]
     xy = bend(xy, waves, WARP_M) + _draw_errors(design, rng)
-    return RecordedHit(design.hit.name, tracks.assign(x=xy[:, 0], y=xy[:, 1]), design.hit.camera)
+    return SimulatedHit(
+        hit=RecordedHit(design.hit.name, tracks.assign(x=xy[:, 0], y=xy[:, 1]), design.hit.camera),
+        before=np.concatenate([target, striker])[:, 3:5],
+        after=just_after[:, 3:5],
+        normal=(striker - target)[0, :2] / (2 * radius),
+    )
 
 
 def draw_waves(rng: np.random.Generator) -> Array:

@@ -214,7 +214,9 @@ def cover(rows: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
     """For each quantity: number with an error, rms of z, shares within 1 and 1.96 errors, median error."""
     out = {}
     for name in QUANTITIES:
-        known = [row for row in rows if np.isfinite(row[f"{name}_local_std"]) and np.isfinite(row[f"{name}_true"])]
+        known = [row for row in rows if np.isfinite(row[f"{name}_local_std"] + row.get(f"{name}_true", np.nan))]
+        if not known:
+            continue
         std = np.array([row[f"{name}_local_std"] for row in known])
         z = np.array([row[f"{name}_local"] - row[f"{name}_true"] for row in known]) / std
         shares = [float(np.mean(np.abs(z) < limit)) for limit in (1.0, 1.96)]

@@ -81,7 +81,7 @@ def make_design():
 def test_a_simulated_hit_has_the_design_of_the_recorded_one():
     design = make_design()
     rng = np.random.default_rng(1)
-    tracks = simulate_hit(design, ContactTruth(), rng, draw_waves(rng)).tracks
+    tracks = simulate_hit(design, ContactTruth(), rng, draw_waves(rng)).hit.tracks
     recorded = design.hit.tracks
     assert tracks[["t_s", "particle"]].equals(recorded[["t_s", "particle"]])
     early = (tracks["particle"] == 1) & (tracks["t_s"] < 0.35)
@@ -92,6 +92,17 @@ def test_a_simulated_hit_has_the_design_of_the_recorded_one():
     apart = np.hypot(one["x"] - two["x"], one["y"] - two["y"])
     assert abs(apart[19:22].min() - 2 * RADIUS) < 0.03
     assert one.loc[:19, "x"].std() < NOISE_BESIDE_CONTACT_M / 10
+
+
+def test_the_truth_of_a_hit_without_friction_is_the_textbook_s():
+    """Of the energy, (1 - r^2) / 2 of the part along the line of centres is lost; the rest does not change."""
+    rng = np.random.default_rng(2)
+    truth = simulate_hit(make_design(), ContactTruth({"mu": 0.0}), rng, draw_waves(rng)).find_truth()
+    assert truth["s"] == pytest.approx(1.0)
+    assert truth["impact_energy"] == pytest.approx(1 - (1 - truth["r"] ** 2) / 2 * (1 - 0.5**2))
+    out = np.array([[truth[f"v{k}o{axis}"] for axis in "xy"] for k in (1, 2)])
+    assert np.hypot(*out.sum(axis=0)) == pytest.approx(truth["v0"])
+    assert np.hypot(*out[0]) == pytest.approx((1 + truth["r"]) / 2 * truth["v0"] * np.sqrt(1 - 0.5**2))
 
 
 def test_the_order_of_starts_names_the_striker_first():

@@ -179,7 +179,7 @@ def _fit_stretches(
         priors = _allow_for_duration(priors, stretches, contact, camera)
         if rests and known.slips is None:
             priors = replace(priors, slips=_expect_slips(stretches, instant))
-        found = yield from fit_motions(stretches, instant, rests, supports, priors, before)
+        found = yield from fit_motions(stretches, instant, rests, supports, priors, before, known=claimed)
         late, instant = float(found[0].x[0]) - instant, float(found[0].x[0])
         if turn == 2 or lasts or abs(late) > 3 / camera.fps or _has_stretches(contact, camera, instant, late, whole):
             break

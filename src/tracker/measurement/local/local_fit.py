@@ -211,12 +211,17 @@ def fit_motions(
     supports: Sequence[str],
     priors: LocalPriors,
     before: Sequence[Sequence[MotionKind]] = BEFORE,
+    *,
+    known: bool = True,
 ) -> FitInSteps[list[LocalSolution]]:
     """Fit the motions that the stretches may have, on each of the supports, until one describes the positions.
 
     The simplest motions come first; those that describe the positions are returned alone. A body that slides on cloth
     all along moves as on a dry plate, so both are tried. Motions on air are the most general. If none describes the
     positions, all are returned. The first has the smallest cost with its price.
+
+    known: errors are claimed. Otherwise they come from the scatter, which a kink may have raised. Then a roll up to the
+    contact does not suffice, and the motion that leaves least shows how large the errors are.
     """
     found, no_slides = list[LocalSolution](), False
     for support in supports:
@@ -251,11 +256,26 @@ def fit_motions(
                 x[problem.start[k] : problem.start[k] + 2] -= x[problem.place(k)]
             [[first]] = yield [Descent([problem], x[None], [1.0] * len(stretches), least_gain=ROUGH_GAIN)]
             found.append((yield from _try_other_starts(first)))
-            if found[-1].is_good:
+            slid = any(motion.pushed for motion, s in zip(motions, stretches, strict=True) if not s.after)
+            if found[-1].is_good and _describes_striker(found[-1]) and (known or slid):
                 break
     found = [one for one in found if one.is_good] or found
-    noise = max(1.0, min(s.chi2 / s.dof for s in found))
+    noise = max(min(s.chi2 / s.dof for s in found), 1.0 if known else 1e-12)
     return sorted(found, key=lambda s: s.cost / noise + s.cost_with_price - s.cost)
+
+
+def _describes_striker(solution: LocalSolution) -> bool:
+    """Decide whether a solution describes the positions of ball 2 before the contact, by the usual chi^2 of them alone.
+
+    Among many positions of other stretches, a few that show a slide hardly raise the chi^2 of all.
+    """
+    problem = solution.problem
+    k = problem.find_stretch(2, after=False)
+    rows = np.cumsum([0, *(2 * len(s) for s in problem.stretches)])[k : k + 2]
+    counted = problem.counted[slice(*rows)]
+    left, free = (values[slice(*rows)][counted] for values in (solution.residual, solution.freedom))
+    dof = max(float(free.sum()), 1.0)
+    return float((left**2).sum()) < dof + 3 * float(np.sqrt(2 * dof))
 
 
 def _are_no_slides(stretches: Sequence[Stretch], found: Sequence[LocalSolution]) -> bool:

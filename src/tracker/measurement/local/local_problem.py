@@ -315,8 +315,8 @@ class LocalSolution:
 
     @property
     def is_good(self) -> bool:
-        """True if chi^2 is what the claimed errors make it, and nothing known is far off."""
-        usual = abs(self.chi2 - self.dof) < 3 * float(np.sqrt(2 * self.dof))
+        """True if chi^2 is no larger than the claimed errors make it, and nothing known is far off."""
+        usual = self.chi2 - self.dof < 3 * float(np.sqrt(2 * self.dof))
         return usual and self.cost_of_known < 15
 
     @cached_property
