@@ -107,7 +107,8 @@ class PhaseIntegrator:
         asked = set().union(*(laws.inputs_of(law) for law in (*LAWS[SLIDE], "rolling")))
         if self.balls.each > 1 or "position" in asked:
             return None
-        return max(self.pushes + self.drills + (self.pushes and "velocity" in asked), 1) if self.slides else 1
+        own = self.pushes + self.drills + self.free  # direction, spin and size of the slip, as `right_hand_side` yields
+        return max(own + (self.pushes and "velocity" in asked), 1) if self.slides else 1
 
     def slip_speed(self, z: Any, y: Array) -> tuple[Any, Any]:
         """Return slip speeds (m, n), and how fast they fall along z where a slip paces."""
@@ -334,16 +335,20 @@ def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Index, Flags]:
 def _propagate_units(
     balls: BallStates, units: Index, spans: Array, ender: Index, stops: bool, depth: int = MAX_HALVINGS
 ) -> Steps:
-    """Integrate a step of these units; those without a solution are integrated again for half the time."""
+    """Integrate a step of these units; those without a solution are integrated again for half the time.
+
+    A slide that friction does not end has a motion until a goal. spans: 0 where there is none.
+    """
     some = balls[units]
     phase, good = PhaseIntegrator(some, spans[units], ender[units]), np.zeros(len(units), dtype=bool)
     try:
         step = phase.stop_evenly() if stops else phase.run()
         good = ~some.any_of_unit(~step.valid)
     except ValueError:
-        if depth == 0 or (balls.each == 1 and phase.slides and phase.paced):
+        ends_slide = phase.slides and phase.paced
+        if depth == 0 or (balls.each == 1 and ends_slide and not spans[units].all()):
             raise
-        if len(units) > 1 and balls.each > 1:
+        if len(units) > 1 and (balls.each > 1 or ends_slide):
             for half in np.array_split(units, 2):
                 yield from _propagate_units(balls, half, spans, ender, stops, depth)
             return

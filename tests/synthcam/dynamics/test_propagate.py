@@ -143,6 +143,27 @@ def test_waves_beyond_the_goal_cost_nothing(monkeypatch):
     assert sum(nodes) < 1000
 
 
+@pytest.mark.parametrize("goal", [0.05, 0.12, 0.3])
+def test_a_slide_that_friction_cannot_end_has_a_motion_until_a_goal(goal):
+    """Balls that slip along a slope on which the push exceeds friction, against scipy."""
+    steep, states, now = Model(sliding_friction=0.01, effects=(PlateTilt(x=0.09),)), START.copy(), np.zeros(3)
+    push = PlateTilt(x=0.09).push(np.zeros(2), 9.81)
+    while (live := np.flatnonzero(now < goal)).size:
+        balls = BallStates.without_drilling(steep, BALLS[live], states[live])
+        for units, step in propagate(balls, goal - now[live]):
+            states[live[units]] = step.final_states
+            now[live[units]] += step.durations
+
+    def right(_, y):
+        friction = -0.01 * 9.81 * y[4:] / np.hypot(*y[4:])
+        return [*y[2:4], *(friction + push), *(3.5 * friction + push)]
+
+    for first, last in zip(START, states, strict=True):
+        start = [*first[[0, 1, 3, 4]], *contact_velocity(first, R)]
+        by_hand = solve_ivp(right, (0.0, goal), start, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+        np.testing.assert_allclose(last[[0, 1, 3, 4]], by_hand[:4], rtol=0, atol=1e-10)
+
+
 def pieced(pieces, times):
     """States (m, 9) of one ball at times (m,)."""
     out = np.full((len(times), 9), np.nan)
