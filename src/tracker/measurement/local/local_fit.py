@@ -532,11 +532,13 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
 
     The cells divide only the durations with which the stretch alone fits hardly worse than with the best. Wider cells
     could change the velocity by many errors from one to the next. The prior of their logarithms is even where the slip
-    is known, because that tells which of them are likely. Before a contact the durations are those of the roll. Unless
-    the end of the slide is known, their prior is uniform over the stretch, because a hit comes at any time after the
-    slide. may_slide_on: the slide may also last up to the contact, which is the first cell, with the probability of
-    `_find_share_of_slides`.
+    is known, because that tells which of them are likely. Then the one above the stretch may be any.
+
+    Before a contact the durations are those of the roll. Unless the end of the slide is known, their prior is uniform
+    over the stretch, because a hit comes at any time after the slide. may_slide_on: the slide may also last up to the
+    contact, which is the first cell, with the probability of `_find_share_of_slides`.
     """
+    open_error = 1.0  # of the logarithm of a duration above the stretch that a slip shows, far larger than its own
     priors, stretch = solution.problem.priors, solution.problem.stretches[k]
     since = np.abs(stretch.time - solution.x[0])
     first = max(float(since.min()), 1e-5)
@@ -555,8 +557,8 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
     if len(seen):
         low, high = inside[max(seen[0] - 1, 0)], inside[min(seen[-1] + 1, len(inside) - 1)]
     ends = np.concatenate([[1e-3 * first, first / 3, first], np.linspace(low, high, durations + 1), [last, 2 * last]])
-    end = solution.problem.find_end(k)
-    if k in solution.problem.slips:
+    end, slips = solution.problem.find_end(k), priors.slips if k in solution.problem.slips else None
+    if slips is not None:
         below = np.log(ends)
     elif stretch.after:
         below = ndtr((np.log(np.append(ends[:-1], np.inf)) - np.log(priors.slide_s)) / priors.slide_factor)
@@ -571,8 +573,11 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
     middles, widths = (ends[1:] + ends[:-1]) / 2, np.diff(ends) / np.sqrt(12)
     if end is not None:  # perhaps narrower than a cell
         middles, widths = _narrow_cells(ends, middles, widths, end)
-    enough = np.any(fits(np.concatenate([ends[:-1], middles, ends[1:]])).reshape(3, -1), axis=0)
     log_priors = np.log(np.maximum(np.diff(below), 1e-12))
+    if slips is not None:  # the last one has no upper end: friction and slip depend on how long the slide lasts
+        middles[-1] = max(middles[-1], slips.find_duration(stretch.ball, float(np.exp(solution.x[5]))))
+        widths[-1], log_priors[-1] = open_error * middles[-1], np.log(np.sqrt(2 * np.pi) * open_error)
+    enough = np.any(fits(np.concatenate([ends[:-1], middles, ends[1:]])).reshape(3, -1), axis=0)
     cells = zip(middles.tolist(), (widths / middles).tolist(), log_priors.tolist(), strict=True)
     return [SlideDuration(*cell) for cell, known in zip(cells, enough & (widths > 0), strict=True) if known]
 

@@ -8,6 +8,7 @@ import pytest
 
 from tracker.measurement.local import local_fit
 from tracker.measurement.local.descents import run_alone, solve_descents
+from tracker.measurement.local.local_estimate import _velocity
 from tracker.measurement.local.local_fit import (
     MAX_EVIDENCE_LOST,
     MAX_RESIDUAL_CLAIMED,
@@ -246,6 +247,29 @@ def test_evidence_of_known_slips_does_not_depend_on_whether_the_end_of_a_slide_s
     parts = run_alone(local_fit._vary_each_slide([(0.0, one)], k, 6, may_slide_on=False))
     apart = np.array([local_fit._log_weight(part) for part in parts])
     assert np.logaddexp.reduce(apart) == pytest.approx(one.log_evidence, abs=0.4)
+
+
+def test_slides_that_outlast_the_stretches_by_far_leave_friction_and_velocities_right():
+    """They last for nine and five stretches, as their slips say. Two stretches at most raised the friction to 0.8."""
+    before, time, diameter, decel, share = np.arange(-20, 0) * 25e-5, np.arange(1, 9) * 25e-5, 0.003, 2.4, 0.25
+    speed = 0.12
+    slips = np.array([[(0.95 + share) * speed, 0.0], [(share - 0.95) * speed, 0.0]])
+    lasts = 2 * np.abs(slips[:, 0]) / (7 * decel)
+    assert (lasts / time[-1]).round().tolist() == [9, 5]
+    stretches = (
+        make_stretch(np.zeros((20, 2)), before, after=False, size=0.0),
+        make_stretch(np.outer(before, [speed, 0.0]) - [diameter, 0], before, ball=2, after=False, size=0.0),
+        make_stretch(slide_path(time, 0.95 * speed, decel, lasts[0]), time, size=0.0),
+        make_stretch(slide_path(time, 0.05 * speed, -decel, lasts[1]) - [diameter, 0], time, ball=2, size=0.0),
+    )
+    normal, std = np.array([1.0, 0.0]), 0.01 * speed
+    known = KnownSlips(slips, np.zeros((2, 2)), (0.0, 0.0), normal, share, std, std)
+    priors = LocalPriors(diameter, friction=decel / 9.81, slips=known)
+    found = run_alone(fit_motions(stretches, 0.0, True, ("cloth",), priors, ((REST,), (ROLL,))))
+    weights, parts = zip(*run_alone(mix_solutions(found)), strict=True)
+    assert np.exp(np.dot(weights, [one.x[5] for one in parts])) == pytest.approx(decel / 9.81, rel=0.1)
+    after = [[_velocity(one, one.x[None], ball, True)[0, 0] for ball in (1, 2)] for one in parts]
+    assert np.dot(weights, after) == pytest.approx([0.95 * speed, 0.05 * speed], abs=2e-4)
 
 
 def test_a_duration_of_a_slide_starts_next_to_that_of_the_free_fit():
