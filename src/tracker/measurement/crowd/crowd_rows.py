@@ -15,7 +15,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.camera_json import BODIES
 from tracker.measurement.collision.adequacy import GLIDE, ROLL, describe_failure, find_gliding_hits
 from tracker.measurement.collision.collision_model import GRAVITY
-from tracker.measurement.collision.contacts import Contact, ContactCandidate, prepare_contact
+from tracker.measurement.collision.contacts import Contact, ContactCandidate, fit_velocity, prepare_contact
 from tracker.measurement.crowd.track_contacts import TrackContact
 from tracker.measurement.local.descents import FitInSteps, run_together
 from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate, estimate_in_steps
@@ -185,13 +185,18 @@ def _keep_moving(prepared: Contact, cut: Sequence[BallTrack], contact: TrackCont
     """The contact with all positions of its slower ball, if that moved before it rests; cut: tracks of both balls.
 
     A few positions do not show how slowly a ball rolls. It rests in a crowd only if all of them since its contact
-    before show that.
+    before show that, and if they show its velocity well: those of a few frames allow half the speed of a hit.
     """
-    whole = next(track for track in cut if track.particle == prepared.pair.struck.particle)
-    early = np.count_nonzero(whole.time < contact.time)
-    if prepared.pair.target_moves or np.count_nonzero(prepared.pair.struck.time < contact.time) == early:
+    max_error = 0.02  # of the velocity of a ball that rests, over the kick
+    pair = prepared.pair
+    if pair.target_moves:
         return prepared
-    return replace(prepared, pair=replace(prepared.pair, struck=whole, target_moves=True))
+    whole = next(track for track in cut if track.particle == pair.struck.particle)
+    early = whole.where(whole.time < contact.time)
+    rests_all = np.count_nonzero(pair.struck.time < contact.time) == len(early) > 1
+    if rests_all and fit_velocity(early)[2] < max_error * contact.kick:
+        return prepared
+    return replace(prepared, pair=replace(pair, struck=whole, target_moves=True))
 
 
 def _slide_duration(contact: TrackContact, settings: FitSettings, particle: int | None = None) -> float:

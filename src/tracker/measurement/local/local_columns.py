@@ -193,10 +193,13 @@ def _split_variances(raw: Mapping[str, Any], allowances: float = 1.0) -> tuple[A
     It widens the part that velocities make without the errors of the camera. allowances: as in `LocalErrors`.
     """
     std, of_velocities = (np.array(raw[key], dtype=np.float64) for key in ("std", "velocity_std"))
-    if "known_std" in raw:
-        known, known_velocities = (np.array(raw[key], dtype=np.float64) for key in ("known_std", "known_velocity_std"))
-        std = np.sqrt(np.maximum(std**2 + (allowances**2 - 1) * known**2, 0.0))
-        of_velocities = np.sqrt(np.maximum(of_velocities**2 + (allowances**2 - 1) * known_velocities**2, 0.0))
+    if "known_std" in raw:  # which a descent that ended early may have too large
+        known, known_velocities = (
+            np.minimum(np.array(raw[key], dtype=np.float64), most)
+            for key, most in (("known_std", std), ("known_velocity_std", of_velocities))
+        )
+        std = np.sqrt(std**2 + (allowances**2 - 1) * known**2)
+        of_velocities = np.sqrt(of_velocities**2 + (allowances**2 - 1) * known_velocities**2)
     effects = np.array([[block["effect"].get(name, 0.0) for name in LOCAL_NAMES] for block in raw["shared"].values()])
     of_camera = (np.reshape(effects, (-1, len(std))) ** 2).sum(axis=0)
     widened = np.clip(of_velocities**2 - of_camera, 0.0, std**2)

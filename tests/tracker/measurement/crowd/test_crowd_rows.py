@@ -36,6 +36,24 @@ def test_a_ball_that_rolls_slowly_up_to_its_contact_does_not_rest(speed):
     assert len(kept.struck) == 100
 
 
+@pytest.mark.parametrize("frames_before", [5, 40])
+def test_few_positions_do_not_show_that_a_ball_rests(frames_before):
+    """Five of them, at 4,000 frames a second, allow half the speed of the hit."""
+    frame, rng, fps = np.arange(frames_before + 30), np.random.default_rng(3), 4000.0
+    since, tracks = (frame - frames_before + 0.5) / fps, []
+    for particle, (before, after) in enumerate(((0.0, 0.09), (0.1, 0.01))):
+        x = np.where(since < 0, before, after) * since - particle * DIAMETER
+        position = np.column_stack([x, 0 * x]) + rng.normal(0, NOISE, (len(x), 2))
+        cov = np.tile(np.eye(2) * NOISE**2, (len(x), 1, 1))
+        tracks.append(BallTrack(particle, frame, frame / fps, position, cov, exposure=0.0))
+    prepared = prepare_contact(ContactCandidate(*tracks, frames_before), DIAMETER, {}, FitSettings())
+    assert not prepared.pair.target_moves
+    nothing, none = np.zeros(2), np.zeros((2, 2))
+    at = (frames_before - 0.5) / fps
+    contact = TrackContact(at, 1e-5, 0, 1, nothing, nothing, 0.09, 1e-3, 99, 1, none, (0.3, 0.1), 0.1)
+    assert _keep_moving(prepared, tracks, contact).pair.target_moves == (frames_before == 5)
+
+
 def test_the_friction_that_a_contact_shows_alone_has_an_error():
     """The balances of momentum do not show that of friction. Allowances of 0.3 of another fit left an error of 0."""
     n = len(LOCAL_NAMES)
@@ -48,3 +66,13 @@ def test_the_friction_that_a_contact_shows_alone_has_an_error():
     row = make_local_columns(shared)
     found = apply_errors(row, LocalErrors(allowances=0.3))["mu_k_local_std"]
     assert found == pytest.approx(0.02 * np.sqrt(0.6), rel=1e-6)
+
+
+def test_allowances_reduce_no_error_by_more_than_their_share():
+    """A descent that ended early left a part of 0.11 of an error of 0.04, which fell to 0.005."""
+    n = len(LOCAL_NAMES)
+    cov, response = np.diag(np.full(n, 0.04**2)), np.zeros((n, 9))
+    of_known = np.diag(np.full(n, 0.11**2))
+    common = (0.1, 10.0, 10.0, 0.5, False, frozenset[str](), True)
+    row = make_local_columns(LocalEstimate(np.full(n, 0.9), cov, response, *common, cov_of_known=of_known))
+    assert apply_errors(row, LocalErrors(allowances=0.5))["r_local_std"] == pytest.approx(0.02, rel=1e-6)
