@@ -32,7 +32,7 @@ from tracker.measurement.crowd.contact_table import summarise_contacts
 
 FRAMES = {"crowd": 200, "cooling": 40, "break": 120, "pucks": 100, "dense": 6}  # of each film, by scene
 SINKS = ("lost_in_contacts", "lost_at_walls", "lost_to_plate")
-QUANTITIES = ("r", "mu_k", "rolling_loss", "rolling_drag", *SINKS, "temperature")
+QUANTITIES = ("r", "mu_k", "mu_k of paths", "rolling_loss", "rolling_drag", *SINKS, "temperature")
 
 
 def measure_film(scene: str, seed: int, frames: int) -> dict[str, list[dict[str, float]]]:
@@ -55,6 +55,7 @@ def _compare_film(clip: Clip, result: tracker.Result) -> Iterator[tuple[str, flo
             yield name, mean.coefficients[0], mean.std[0], truths[name]
     gas = tracker.observe_gas(result)
     drag, decel = read_true_loss(clip)
+    yield "mu_k of paths", gas.values["mu_k"], gas.values["mu_k_std"], truths["mu_k"]
     losses = {"rolling_loss": decel + drag * gas.values["rolling_speed"], "rolling_drag": drag}
     for name, truth in losses.items():
         yield name, gas.values[name], gas.values[f"{name}_std"], truth

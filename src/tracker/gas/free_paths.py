@@ -59,6 +59,7 @@ class FreePath:
     # (n + 2,) m/s: how much too slow they may be because they are straight lines between contacts; all err this way
     smoothed: Array | None = None
     sides: tuple[SideOfContact, ...] = ()
+    free_from: float = -np.inf  # s, from which positions are surely those after the contact before
     rolls_from: float = -np.inf  # s, from which the ball surely rolls, if it is one that rolls
     rolls_until: float = np.inf  # s, up to which positions are surely those before the next contact
 
@@ -123,7 +124,8 @@ def _limit_rolling(paths: Sequence[FreePath], contacts: pd.DataFrame, cuts: Path
         else:
             slip = float(np.hypot(*(path.velocities.even[-1] + path.velocities.odd[-1]) / 2))
         slides = margin * 2 * slip / (7 * decel) if cuts.slides else 0.0
-        last = replace(path, rolls_from=path.start_time + early + slides, rolls_until=path.end_time - late)
+        free_from = path.start_time + early
+        last = replace(path, free_from=free_from, rolls_from=free_from + slides, rolls_until=path.end_time - late)
         out.append(last)
     return out
 

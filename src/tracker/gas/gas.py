@@ -22,6 +22,7 @@ from tracker.gas.free_paths import FreePath, PathCuts, cut_free_paths, extrapola
 from tracker.gas.loss_on_air import balance_on_air
 from tracker.gas.pair_correlation import pair_correlation
 from tracker.gas.rolling_loss import measure_rolling_loss
+from tracker.gas.sliding_friction import measure_sliding_friction
 from tracker.gas.temperature import (
     MIN_BALLS,
     measure_distribution,
@@ -115,6 +116,7 @@ def measure_gas(
     a2, a2_std = measure_sonine(table, time, noise)
     values = {"position_noise": noise, "noise_ratio": noise / claimed, "sonine_a2": a2, "sonine_a2_std": a2_std}
     values |= (law := measure_rolling_loss(balls, paths, noise))
+    values |= measure_sliding_friction(balls, () if camera.on_air else paths, noise)
     time = balance_on_air(time, table, law) if camera.on_air else time
     values |= _measure_rates(balls, contacts) | _predict_rates(time, sides, camera)
     # the relative errors of lengths and of the frame rate in whatever depends on them
@@ -122,7 +124,7 @@ def measure_gas(
     energies = ("temperature", "energy", *SINKS.values())
     time = time.assign(**{f"{k}_std": np.hypot(time[f"{k}_std"], of_energy * time[k]) for k in energies})
     errors = {"free_path": camera.scale_error, "contact_rate": camera.fps_error, "rolling_drag": camera.fps_error}
-    errors["rolling_loss"] = float(np.hypot(camera.scale_error, 2 * camera.fps_error))
+    errors |= dict.fromkeys(("rolling_loss", "mu_k"), float(np.hypot(camera.scale_error, 2 * camera.fps_error)))
     values |= {f"{k}_std": float(np.hypot(values[f"{k}_std"], error * values[k])) for k, error in errors.items()}
     return GasObservables(
         time=time,

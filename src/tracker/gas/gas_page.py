@@ -82,6 +82,8 @@ def summarise_gas(gas: GasObservables) -> list[str]:
         f"{last['t_s']:.3g} s.",
         f"{values['contacts']:.0f} contacts of two balls; hard discs would have {values['contacts_theory']:.0f}.",
     ]
+    if np.isfinite(values["mu_k"]):
+        lines.append(f"Friction of the plate mu_k = {format_with_error(values['mu_k'], values['mu_k_std'])}.")
     if shares:
         lines.append("Energy lost to " + ", ".join(f"{WORDS[k]} {100 * v:.1f} %" for k, v in shares.items()) + ".")
     return lines
@@ -104,6 +106,9 @@ def _values_table(gas: GasObservables) -> PageTable:
     if np.isfinite(loss := gas.values["rolling_loss"]):
         words = f"loss of rolling or gliding at {format_number(gas.values['rolling_speed'])} m/s"
         rows.append([words, "m/s²", format_with_error(loss, gas.values["rolling_loss_std"]), format_number(np.nan)])
+    if np.isfinite(friction := gas.values["mu_k"]):
+        words = "friction of the plate, by slides on free paths"
+        rows.append([words, "", format_with_error(friction, gas.values["mu_k_std"]), format_number(np.nan)])
     noise = gas.values["position_noise"] * 1e6
     note = (
         f"Noise of a coordinate {format_number(noise)} µm, {format_number(gas.values['noise_ratio'])} of what the "

@@ -22,6 +22,7 @@ from synthcam_shared.errors import InputError, first_line
 from synthcam_shared.report.numbers import format_with_error
 from synthcam_shared.settings import did_you_mean
 from tracker.measurement.camera_errors import shared_effects
+from tracker.measurement.collision.adequacy import CROWD, GLIDE
 from tracker.measurement.joint_fit import fit_all_jointly
 from tracker.measurement.local.local_columns import calibrate_set
 from tracker.measurement.local.recommendation import SUFFIXES
@@ -37,6 +38,8 @@ from tracker.sets.combined_quantity import (
 )
 from tracker.sets.set_page import write_set
 from tracker.tables.rows import make_tracks_table, to_csv
+
+_BY_PATHS = "no contact shows the friction of the plate; `tracker gas` gives mu_k by the free paths, if they show it"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -171,14 +174,23 @@ def combine(
     table["fit"] = _choose_fits(table)
     wanted = _choose_quantities(table, quantities)
     found = {name: one for name in wanted if (one := _combine_one(table, name))}
+    by_paths = [_BY_PATHS] * ("mu_k" in wanted and "mu_k" not in found and _is_rolling_crowd(table))
     if not found:
         states = ", ".join(f"{count} {status}" for status, count in table["status"].value_counts().items())
         folders = ", ".join(f"{one}" for one in given if not isinstance(one, Result))
-        raise InputError(f"{folders or 'results'}: no value of {', '.join(wanted)} ({states})")
+        nothing = f"{folders or 'results'}: no value of {', '.join(wanted)} ({states})"
+        raise InputError("; ".join([nothing, *by_paths]))
+    notes += by_paths
     notes += [note for one in found.values() for note in list_warnings(one)]
     if "mass_ratio" in found:
         notes.append(f"mass_ratio is that of the particle with the lower number over the other. {SAME_BODIES}")
     return CombinedSet(table, found, fit_all_jointly(table), tuple(notes))
+
+
+def _is_rolling_crowd(table: pd.DataFrame) -> bool:
+    """Decide whether the rows are contacts of crowds of balls of which none is seen to glide."""
+    gliding = (table.get("motion_local", pd.Series("", table.index)) == GLIDE).any()
+    return bool((table["status"] == CROWD).any() and not gliding)
 
 
 def _combine_one(table: pd.DataFrame, name: str) -> CombinedQuantity | None:

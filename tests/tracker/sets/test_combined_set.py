@@ -46,6 +46,21 @@ def test_the_mean_of_equal_errors_is_that_of_the_values(tmp_path):
     assert found.means.loc["r", "n"] == 5
 
 
+def test_a_crowd_whose_contacts_show_no_friction_names_the_command_that_may_find_it(tmp_path):
+    """Bodies on air have no friction to be found."""
+
+    def combine(name, **more):
+        known = {"status": "crowd", "recommended": "local", "r_local": 0.9, "r_local_std": 0.01} | more
+        rows = [row(k, 0.9, **known) for k in (0, 1)]
+        return tracker.combine(write(tmp_path / name, rows), quantities=["r", "mu_k"]).notes
+
+    assert any("tracker gas" in note for note in combine("balls"))
+    assert not any("tracker gas" in note for note in combine("pucks", motion_local="glide"))
+    assert not any("tracker gas" in note for note in combine("known", mu_k_local=0.2, mu_k_local_std=0.01))
+    with pytest.raises(InputError, match=r"no value of r, mu_k.*tracker gas"):
+        combine("none", r_local=np.nan)
+
+
 def test_the_recommended_fit_enters(tmp_path):
     """A row without a recommendation, as of another version, enters by its status."""
     local = {"r_local": 0.8, "r_local_std": 0.01, "v0_local": 0.5, "b_local": 0.6}
