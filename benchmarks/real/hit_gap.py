@@ -81,7 +81,8 @@ def list_lines() -> list[Line]:
         Line("Coulomb friction, no spin", HitModel(HitLaws(), base), ""),
         Line("no spin; changes with ln(slip)", HitModel(HitLaws(), (*base, "fall")), ""),
         Line("no spin; hop", HitModel(HitLaws(), (*base, "fall", "hop")), ""),
-        Line("Coulomb friction, unseen spin", HitModel(HitLaws(), base, ("spin",)), "warp of the map", issue=8.3),
+        Line("a share of the slip, unseen spin", replace(share, scatters=("spin",)), "warp of the map"),
+        Line("Coulomb friction, unseen spin", HitModel(HitLaws(), base, ("spin",)), issue=8.3),
     ]
     for name, shared, scatters, issue in [
         ("friction that changes with ln(slip)", ("fall",), (), 6.2),
@@ -94,12 +95,12 @@ def list_lines() -> list[Line]:
         model = lines[-1].model
         model = replace(model, shared=(*model.shared, *shared), scatters=(*model.scatters, *scatters))
         lines.append(Line(name, model, issue=issue))
-    last = lines[-1].name
+    scattered, last = lines[-4], lines[-1]
     lines.append(Line("no law of the impact", HitModel(HitLaws(), ("cloth", "loss", "drag"), free=True)))
-    for full in (lines[12], lines[15]):
+    for full in (scattered, last):
         for lost, word in (("fall", "a change with ln(slip)"), ("hop", "a hop")):
             model = replace(full.model, shared=tuple(name for name in full.model.shared if name != lost))
-            end = ", all scatters" if full.name == last else ", scatter of r and friction"
+            end = ", all scatters" if full is last else ", scatter of r and friction"
             lines.append(Line(f"without {word}{end}", model, full.name))
     return [
         replace(one, adds_to=one.adds_to or before.name) for before, one in zip(lines[:1] + lines, lines, strict=False)

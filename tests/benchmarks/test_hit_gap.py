@@ -49,7 +49,7 @@ def draw_hits(truth, seed=1):
             slides_at_contact=False,
             impact_parameter=rng.choice([-1, 1]) * rng.uniform(0.2, 0.8),
         )
-        hits.append(simulate_hit(design, truth, rng, draw_waves(rng)))
+        hits.append(simulate_hit(design, truth, rng, draw_waves(rng)).hit)
     return HitPositions.of(hits, np.full(HITS, CONTACT_S))
 
 
