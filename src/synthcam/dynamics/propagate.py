@@ -327,6 +327,7 @@ def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Index, Flags]:
         share = np.where(nears, np.maximum(1 - close, 0.15), max_growth)
         limit = np.minimum(limit, share * far / np.maximum(speed, TINY))
     spans = np.where(ends > 1.25 * limit, limit, np.minimum(ends, limit) / 2)
+    spans = np.where((balls.each == 1) & (modes[: len(balls)] == SLIDE), np.abs(goal), spans)
     drills = drills.reshape(balls.each, -1)[ender, np.arange(len(balls))]
     ends_slide = (ends < 0.8 * half) & ((balls.each > 1) | (ends < far_beyond * np.abs(goal)))
     return np.copysign(spans, goal), np.where(ends_slide, ender, -1), drills
@@ -337,7 +338,7 @@ def _propagate_units(
 ) -> Steps:
     """Integrate a step of these units; those without a solution are integrated again for half the time.
 
-    A slide that friction does not end has a motion until a goal. spans: 0 where there is none.
+    A slide that friction does not end has a motion if it lasts until a goal. spans: 0 where there is none.
     """
     some = balls[units]
     phase, good = PhaseIntegrator(some, spans[units], ender[units]), np.zeros(len(units), dtype=bool)
@@ -345,13 +346,18 @@ def _propagate_units(
         step = phase.stop_evenly() if stops else phase.run()
         good = ~some.any_of_unit(~step.valid)
     except ValueError:
-        ends_slide = phase.slides and phase.paced
-        if depth == 0 or (balls.each == 1 and ends_slide and not spans[units].all()):
+        ends_alone = balls.each == 1 and phase.slides and phase.paced
+        if depth == 0 or (ends_alone and not spans[units].all()):
             raise
-        if len(units) > 1 and (balls.each > 1 or ends_slide):
+        if len(units) > 1 and (balls.each > 1 or ends_alone):
             for half in np.array_split(units, 2):
                 yield from _propagate_units(balls, half, spans, ender, stops, depth)
             return
+        if ends_alone:
+            yield from _propagate_units(balls, units, spans, np.full_like(ender, -1), stops, 0)
+            return
+    if depth == 0 and not good.all():
+        raise ValueError("a slide could not be followed until its goal: it ends before, but not by friction")
     if good.any():
         yield units[good], step if good.all() else step[some.rows(np.flatnonzero(good))]
     if not good.all():
