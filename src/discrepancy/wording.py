@@ -474,9 +474,7 @@ def _describe_disagreement(found: SearchOutcome) -> str:
     worst = found.base_disagreements[0] if found.base_disagreements else None
     if worst is None or worst.sigma == 0:
         return f"{chi2} and no significant disagreement."
-    size = (
-        f" ({format_number(worst.size, 2)} um rms of the terms that this test fits)" if np.isfinite(worst.size) else ""
-    )
+    size = f" ({format_number(worst.size, 2)} um rms of the terms that this test fits)" if worst.size > 0 else ""
     where = describe_disagreement(worst, base.model)
     return (
         f"{chi2}. Its largest disagreement is {where}: {format_sigma(worst.sigma)} sigma after a correction for "

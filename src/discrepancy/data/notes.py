@@ -61,7 +61,7 @@ class SearchNoteKind(Enum):
     )
     # what many clips have in common
     CONTACTS_MAY_LAST = (
-        "in {count} clips the paths cross within one diameter: contacts of about {duration_ms:.2g} ms and "
+        "the paths cross within one diameter in {count} of the clips: contacts of about {duration_ms:.2g} ms and "
         "diameter_mismatch look the same"
     )
     NO_STRIKER = "who strikes: {text}"
