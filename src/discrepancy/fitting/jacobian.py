@@ -8,7 +8,7 @@ from contextlib import suppress
 import numpy as np
 
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.data.launch import MAX_SPIN_TO_SPEED, SLIP, V0, WITH_SPIN, find_free_launch_columns
+from discrepancy.data.launch import MAX_SPIN_TO_SPEED, V0, WITH_SPIN, find_free_launch_columns
 from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import difference_step, find_parameter, find_tried_range, parameter_limits
 from discrepancy.fitting.predict import predict_tracks
@@ -215,20 +215,9 @@ def zero_unidentifiable_shapes(model: Model, names: Sequence[str], slopes: tuple
 
 
 def _zero_unidentifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Set to zero the derivatives by spins that move no track by a sigma: without friction they are rounding errors.
-
-    They are also rounding errors along the slip of a slide that outlasts its track, which shows the direction of the
-    slip alone. The derivative by the larger of its two components is then zero, and the other one turns the slip.
-    """
+    """Set to zero the derivatives by spins that move no track by a sigma: without friction they are rounding errors."""
     if launches.shape[1] != WITH_SPIN:
         return slopes
-    reach = MAX_SPIN_TO_SPEED * launches[:, V0]
-    size, slip = np.hypot(*launches[:, SLIP].T), launches[:, SLIP]
-    unit = slip / np.where(size > 0, size, 1.0)[:, None]
-    silent = np.zeros(launches.shape, dtype=bool)
     sizes = np.array([np.linalg.norm(s[:, len(LAUNCH_COLUMNS) :], axis=0) for s in slopes])
-    silent[:, len(LAUNCH_COLUMNS) :] = sizes * reach[:, None] < 1
-    along = np.array([np.linalg.norm(s[:, SLIP] @ way) for s, way in zip(slopes, unit, strict=True)])
-    unseen = np.flatnonzero(along * reach < 1)
-    silent[unseen, SLIP.start + np.abs(unit[unseen]).argmax(axis=1)] = True
+    silent = np.pad(sizes * MAX_SPIN_TO_SPEED * launches[:, [V0]] < 1, ((0, 0), (len(LAUNCH_COLUMNS), 0)))
     return tuple(np.where(none, 0.0, s) for none, s in zip(silent, slopes, strict=True)) if silent.any() else slopes
