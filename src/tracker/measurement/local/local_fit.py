@@ -13,7 +13,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import logsumexp, ndtr
 
 from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.measurement.collision.collision_model import GRAVITY
@@ -457,10 +457,36 @@ def _log_weight(part: tuple[float, LocalSolution]) -> float:
     return part[0] + part[1].log_evidence
 
 
-def _drop_unlikely(parts: list[tuple[float, LocalSolution]], most: int = 16) -> list[tuple[float, LocalSolution]]:
-    """Sort solutions by their weights, and keep at most so many that have LEAST_WEIGHT of the largest or more."""
-    parts = sorted(parts, key=lambda part: -_log_weight(part))[:most]
-    return [part for part in parts if _log_weight(part) >= _log_weight(parts[0]) + np.log(LEAST_WEIGHT)]
+def _drop_unlikely(
+    parts: list[tuple[float, LocalSolution]], most: int = 16, most_of_others: int = 2
+) -> list[tuple[float, LocalSolution]]:
+    """Sort solutions by their weights, and keep the `most` likely ones that have LEAST_WEIGHT of the largest or more.
+
+    Those with the same motion before the contact show almost the same velocity there. Of each such group whose weight
+    is LEAST_WEIGHT of the largest at least `most_of_others` stay, and those that stay take the weight of the group.
+    """
+    parts = sorted(parts, key=lambda part: -_log_weight(part))
+    weights, groups = np.array([_log_weight(part) for part in parts]), dict[object, list[int]]()
+    for i, (_, one) in enumerate(parts):
+        groups.setdefault(_name_motion_before(one), []).append(i)
+    kept = set(np.flatnonzero(weights[:most] >= weights[0] + np.log(LEAST_WEIGHT)).tolist())
+    totals = {name: float(logsumexp(weights[group])) for name, group in groups.items()}
+    for name, group in groups.items():
+        if totals[name] >= max(totals.values()) + np.log(LEAST_WEIGHT):
+            kept.update(group[:most_of_others])
+    out = list[tuple[float, LocalSolution]]()
+    for name, group in groups.items():
+        stay = [i for i in group if i in kept]
+        lost = totals[name] - float(logsumexp(weights[stay])) if stay else 0.0
+        out += [(parts[i][0] + lost, parts[i][1]) for i in stay]
+    return sorted(out, key=lambda part: -_log_weight(part))
+
+
+def _name_motion_before(solution: LocalSolution) -> object:
+    """Name the motions before the contact, with the durations of their slides that are assumed one by one."""
+    problem = solution.problem
+    early = [k for k, stretch in enumerate(problem.stretches) if not stretch.after]
+    return tuple((problem.motions[k], problem.slides.get(k)) for k in early)
 
 
 def _vary_each_slide(
