@@ -19,8 +19,8 @@ from tracker.measurement.collision.contacts import Contact, ContactCandidate, fi
 from tracker.measurement.crowd.track_contacts import TrackContact
 from tracker.measurement.local.descents import FitInSteps, run_together
 from tracker.measurement.local.local_estimate import LOCAL_NAMES, LocalEstimate, estimate_in_steps
-from tracker.measurement.local.local_fit import BEFORE
-from tracker.measurement.local.local_problem import KnownEnd, KnownSlips
+from tracker.measurement.local.local_fit import BEFORE_OF_CROWD
+from tracker.measurement.local.local_problem import ANY_TURN, KnownEnd, KnownSlips
 from tracker.measurement.local.stretches import SLIDE_AND_ROLL
 from tracker.measurement.positions import BallTrack
 from tracker.settings import FitSettings
@@ -28,7 +28,6 @@ from tracker.settings import FitSettings
 MU_K = LOCAL_NAMES.index("mu_k")
 FILM_FRICTION_FACTOR = 0.1  # error of the logarithm of the friction that a film shows
 SHORT_SLIDE = "other contacts of the film show the friction better"
-ANY_TURN = float(np.pi / np.sqrt(3))  # rad, error of a direction of which nothing is known
 _Estimates: TypeAlias = dict[int, tuple[Contact | None, LocalEstimate | str]]
 
 
@@ -174,7 +173,7 @@ def _estimate_in_steps(
         if sliding[0]:
             prepared = replace(prepared, pair=replace(pair, target_moves=True))
         slips = _know_slips(members, contact, found, own)
-        before = [(SLIDE_AND_ROLL,) if slid else usual for slid, usual in zip(sliding, BEFORE, strict=True)]
+        before = [(SLIDE_AND_ROLL,) if slid else usual for slid, usual in zip(sliding, BEFORE_OF_CROWD, strict=True)]
         fit = estimate_in_steps(prepared, camera, (1.0, 1.0), slips, ends, before, of_crowd=True)
         return prepared, (yield from fit)
     except (ArithmeticError, ValueError, IndexError) as error:  # one contact never costs the others

@@ -18,7 +18,7 @@ import numpy as np
 
 from synthcam_shared.arrays import Array, Ints
 from tracker.measurement.collision.collision_model import GRAVITY
-from tracker.measurement.local.local_problem import LocalProblem, LocalSolution
+from tracker.measurement.local.local_problem import ANY_TURN, LocalProblem, LocalSolution
 from tracker.measurement.local.stretches import MotionKind, Stretch, evaluate_path
 
 Found = TypeVar("Found")
@@ -157,13 +157,13 @@ def _solve_stack(descents: Sequence[Descent]) -> list[list[LocalSolution]]:
 
 def _read_solutions(stack: ProblemStack, x: Array, cost: Array, square: Array) -> list[LocalSolution]:
     """The solutions of a stack by its parameters, costs and squared derivatives at the minima."""
-    each = np.arange(stack.one.size)
+    square = square.copy()
+    for k in stack.one.free_turns:  # if positions hardly show a direction, its linear error is many turns
+        square[:, stack.one.start[k] + 5, stack.one.start[k] + 5] += 1 / ANY_TURN**2
     size = np.sqrt(np.maximum(np.diagonal(square, axis1=1, axis2=2), 1e-300))
     unit = square / size[:, :, None] / size[:, None]
     cov = np.linalg.pinv(unit, rcond=1e-13, hermitian=True) / (size[:, :, None] * size[:, None])
-    free = np.diagonal(square, axis1=1, axis2=2) == 0  # the direction of a slide that no position shows: any
-    unit[:, each, each] += free
-    volume = -np.linalg.slogdet(unit)[1] / 2 - np.log(np.where(free, 0.55, size)).sum(axis=1)
+    volume = -np.linalg.slogdet(unit)[1] / 2 - np.log(size).sum(axis=1)
 
     @cache
     def weigh_all() -> tuple[Array, Array, Array]:

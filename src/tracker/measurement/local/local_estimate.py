@@ -132,11 +132,11 @@ def estimate_in_steps(
         slips=slips,
         ends=ends,
     )
-    fit = yield from _fit_stretches(contact, camera, instant, known, before)
+    fit = yield from _fit_stretches(contact, camera, instant, known, before, of_crowd)
     if isinstance(fit, str):
         return fit
     if not camera.support and any(one.problem.dry for _, one in fit.mixture):
-        dry = yield from _fit_stretches(contact, replace(camera, support="sliding"), instant, known, before)
+        dry = yield from _fit_stretches(contact, replace(camera, support="sliding"), instant, known, before, of_crowd)
         fit = fit if isinstance(dry, str) else _put_dry_fit(fit, dry)
     estimate = _read_values(fit.claimed, fit.mixture, contact, camera, masses, of_crowd=of_crowd)
     glide = all(one.problem.glide and not one.problem.dry for _, one in fit.mixture)
@@ -156,6 +156,7 @@ def _fit_stretches(
     instant: float,
     known: LocalPriors,
     before: Sequence[Sequence[MotionKind]],
+    of_crowd: bool,
 ) -> FitInSteps[LocalFit | str]:
     """Fit all stretches of a contact at about this instant, s, or give the reason why that is impossible."""
     rests = not contact.pair.target_moves
@@ -179,7 +180,9 @@ def _fit_stretches(
         priors = _allow_for_duration(priors, stretches, contact, camera)
         if rests and known.slips is None:
             priors = replace(priors, slips=_expect_slips(stretches, instant))
-        found = yield from fit_motions(stretches, instant, rests, supports, priors, before, known=claimed)
+        found = yield from fit_motions(
+            stretches, instant, rests, supports, priors, before, known=claimed, slides_seen=of_crowd
+        )
         late, instant = float(found[0].x[0]) - instant, float(found[0].x[0])
         if turn == 2 or lasts or abs(late) > 3 / camera.fps or _has_stretches(contact, camera, instant, late, whole):
             break

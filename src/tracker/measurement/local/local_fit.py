@@ -33,7 +33,8 @@ from tracker.measurement.local.stretches import (
     average_curve,
 )
 
-BEFORE = (ROLL,), (ROLL, SLIDE_AND_ROLL, SLIDE)  # motions of ball 1 and ball 2, which strikes, before the contact
+BEFORE = ((ROLL, SLIDE_AND_ROLL, SLIDE),) * 2  # motions of ball 1 and ball 2, which strikes, before the contact
+BEFORE_OF_CROWD = (ROLL,), (ROLL, SLIDE_AND_ROLL, SLIDE)  # the slower ball slides only after a contact that is seen
 LEAST_WEIGHT = 0.01  # of those, over the weight of the best
 MAX_COST = 16.0  # beyond that of the best duration of a slide
 MAX_RESIDUAL_CLAIMED = 2.0  # rms of the residuals of a window, over claimed errors
@@ -213,6 +214,7 @@ def fit_motions(
     before: Sequence[Sequence[MotionKind]] = BEFORE,
     *,
     known: bool = True,
+    slides_seen: bool = False,
 ) -> FitInSteps[list[LocalSolution]]:
     """Fit the motions that the stretches may have, on each of the supports, until one describes the positions.
 
@@ -222,6 +224,8 @@ def fit_motions(
 
     known: errors are claimed. Otherwise they come from the scatter, which a kink may have raised. Then a roll up to the
     contact does not suffice, and the motion that leaves least shows how large the errors are.
+    slides_seen: earlier contacts show which bodies slide up to this one. Otherwise a roll suffices only if the
+    positions exclude a slide.
     """
     found, no_slides = list[LocalSolution](), False
     for support in supports:
@@ -257,25 +261,53 @@ def fit_motions(
             [[first]] = yield [Descent([problem], x[None], [1.0] * len(stretches), least_gain=ROUGH_GAIN)]
             found.append((yield from _try_other_starts(first)))
             slid = any(motion.pushed for motion, s in zip(motions, stretches, strict=True) if not s.after)
-            if found[-1].is_good and _describes_striker(found[-1]) and (known or slid):
+            if found[-1].is_good and (known or slid) and _suffices(found[-1], before, slides_seen):
                 break
     found = [one for one in found if one.is_good] or found
     noise = max(min(s.chi2 / s.dof for s in found), 1.0 if known else 1e-12)
     return sorted(found, key=lambda s: s.cost / noise + s.cost_with_price - s.cost)
 
 
-def _describes_striker(solution: LocalSolution) -> bool:
-    """Decide whether a solution describes the positions of ball 2 before the contact, by the usual chi^2 of them alone.
+def _suffices(solution: LocalSolution, before: Sequence[Sequence[MotionKind]], slides_seen: bool) -> bool:
+    """Decide whether the rolls of a solution up to the contact describe the positions; slides and sole motions do.
 
-    Among many positions of other stretches, a few that show a slide hardly raise the chi^2 of all.
+    Among many positions of other stretches, a few that show a slide hardly raise the chi^2 of all. So those of each
+    ball that rolls count alone: their chi^2 must be usual, and no slide may describe them better by `least_gain`.
+    Claimed errors may be too large, so that any chi^2 seems usual. The gain is in units of the chi^2 that is left. A
+    few positions hardly tell a slide from a roll. Both then count by their evidence, unless `slides_seen`.
     """
+    least_gain = 6.0  # of chi^2; a slide has two parameters more than a roll
     problem = solution.problem
-    k = problem.find_stretch(2, after=False)
-    rows = np.cumsum([0, *(2 * len(s) for s in problem.stretches)])[k : k + 2]
-    counted = problem.counted[slice(*rows)]
-    left, free = (values[slice(*rows)][counted] for values in (solution.residual, solution.freedom))
-    dof = max(float(free.sum()), 1.0)
-    return float((left**2).sum()) < dof + 3 * float(np.sqrt(2 * dof))
+    for k, (stretch, rows) in enumerate(zip(problem.stretches, problem.list_rows(), strict=True)):
+        if stretch.after or problem.motions[k] != ROLL or len(before[stretch.ball - 1]) == 1:
+            continue
+        counted = problem.counted[rows]
+        left, free = (values[rows][counted] for values in (solution.residual, solution.freedom))
+        dof = max(float(free.sum()), 1.0)
+        roll, *slides = (
+            fit_single_stretch(stretch, float(solution.x[0]), motion, problem.priors.fall)
+            for motion in (ROLL, SLIDE, SLIDE_AND_ROLL)
+        )
+        best = min(slides, key=lambda one: one.chi2)
+        usual = float((left**2).sum()) < dof + 3 * float(np.sqrt(2 * dof))
+        if not usual or roll.chi2 - best.chi2 > least_gain * min(best.chi2 / best.dof, 1.0):
+            return False
+        if not slides_seen and not _excludes_slide(stretch, float(solution.x[0]), problem.priors):
+            return False
+    return True
+
+
+def _excludes_slide(stretch: Stretch, contact: float, priors: LocalPriors) -> bool:
+    """Decide whether a stretch shows, by three errors, that no friction of the plate pushes its body all along.
+
+    The friction is the usual one, or less by at most two of its errors.
+    """
+    least = GRAVITY * priors.friction * float(np.exp(-2 * priors.friction_factor))
+    since = stretch.time - contact
+    columns = [stretch.whiten(np.column_stack([c, c])) for c in (np.ones_like(since), since, since**2 / 2)]
+    _, root = np.linalg.qr(np.column_stack(columns))
+    error = float(np.sqrt(2.0)) / max(abs(float(root[2, 2])), 1e-300)  # of one axis; both are in the columns
+    return float(np.hypot(*fit_single_stretch(stretch, contact, SLIDE, priors.fall).values[4:6])) + 3 * error < least
 
 
 def _are_no_slides(stretches: Sequence[Stretch], found: Sequence[LocalSolution]) -> bool:
@@ -447,7 +479,7 @@ def mix_solutions(
                 may_slide_on = not any(other.problem.motions[k] == SLIDE for other in found)
                 parts = _drop_unlikely((yield from _vary_each_slide(parts, k, durations, may_slide_on)))
         mixture += parts
-    mixture = _drop_unlikely(mixture)
+    mixture = _drop_unlikely(mixture, len(mixture))  # the parts of one solution could displace all of another
     weights = np.exp([_log_weight(part) - _log_weight(mixture[0]) for part in mixture])
     return [(float(w), one) for w, (_, one) in zip(weights / weights.sum(), mixture, strict=True)]
 

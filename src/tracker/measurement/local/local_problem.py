@@ -14,12 +14,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from synthcam_shared.arrays import Array, Flags
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.local.stretches import MotionKind, Stretch
+
+ANY_TURN = float(np.pi / np.sqrt(3))  # rad, error of a direction of which nothing is known
 
 
 @dataclass(frozen=True)
@@ -167,7 +170,7 @@ class LocalProblem:
         if end is not None:
             return end.turn
         before = self.motions[self.find_stretch(self.stretches[k].ball, after=False)]
-        return float(np.pi / np.sqrt(3)) if before.pushed else self.priors.turn
+        return ANY_TURN if before.pushed else self.priors.turn
 
     @cached_property
     def slips(self) -> tuple[int, ...]:
@@ -189,6 +192,11 @@ class LocalProblem:
     def place(self, k: int) -> slice:
         """Find the position of a stretch's body in the vector of parameters."""
         return slice(1, 3) if self.stretches[k].ball == 1 else slice(3, 5)
+
+    def list_rows(self) -> list[slice]:
+        """List the rows of each stretch among the coordinates (2n,) of all."""
+        ends = np.cumsum([0, *(2 * len(s) for s in self.stretches)]).tolist()
+        return [slice(*pair) for pair in pairwise(ends)]
 
     @cached_property
     def counted(self) -> Flags:
@@ -232,10 +240,15 @@ class LocalProblem:
         return log
 
     @cached_property
+    def free_turns(self) -> tuple[int, ...]:
+        """The stretches that friction pushes in any direction; only positions show it."""
+        return tuple(k for k in range(len(self.motions)) if self.rubs(k) and k not in (*self.turns, *self.slips))
+
+    @cached_property
     def log_width(self) -> float:
         """Logarithm of the volume of what is known of the motions, any direction of a slide before the contact."""
-        free = sum(self.rubs(k) and k not in (*self.turns, *self.slips) for k in range(len(self.motions)))
-        return float(sum(np.log(error) for _, error, _ in self._list_known())) + free * float(np.log(2 * np.pi) / 2)
+        free = len(self.free_turns) * float(np.log(2 * np.pi) / 2)
+        return float(sum(np.log(error) for _, error, _ in self._list_known())) + free
 
     def _list_known(self) -> list[tuple[float, float, dict[int, float]]]:
         """Prior knowledge: value, error, and factors of the parameters; none of what is not linear."""
