@@ -279,7 +279,7 @@ def _solve_free_balls(
             out.segments.append(RollSegment(row, np.array([out.start]), time, time, state, radius, 0.0, 0.0))
         out.segments.append(TrajectorySegment(row, time, ends[[k]], its))
         slid = [e.t for e in its.events if e.kind == "slide_end"]
-        out.slide_ends[row] = slid[0] if slid else t_c[k]
+        out.slide_ends[row] = slid[0] if slid else t_c[k]  # all these balls have stopped, so none still slides
 
 
 def _group_by_size(who: Index, size: Array) -> list[Index]:

@@ -327,7 +327,8 @@ def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Index, Flags]:
         share = np.where(nears, np.maximum(1 - close, 0.15), max_growth)
         limit = np.minimum(limit, share * far / np.maximum(speed, TINY))
     spans = np.where(ends > 1.25 * limit, limit, np.minimum(ends, limit) / 2)
-    spans = np.where((balls.each == 1) & (modes[: len(balls)] == SLIDE), np.abs(goal), spans)
+    until_goal = np.where(np.isfinite(goal), np.abs(goal), 0.0)
+    spans = np.where((balls.each == 1) & (modes[: len(balls)] == SLIDE), until_goal, spans)
     drills = drills.reshape(balls.each, -1)[ender, np.arange(len(balls))]
     ends_slide = (ends < 0.8 * half) & ((balls.each > 1) | (ends < far_beyond * np.abs(goal)))
     return np.copysign(spans, goal), np.where(ends_slide, ender, -1), drills
@@ -338,7 +339,7 @@ def _propagate_units(
 ) -> Steps:
     """Integrate a step of these units; those without a solution are integrated again for half the time.
 
-    A slide that friction does not end has a motion if it lasts until a goal. spans: 0 where there is none.
+    A lone slide that friction does not end has a motion if it lasts until a goal. spans: 0 where it has no goal.
     """
     some = balls[units]
     phase, good = PhaseIntegrator(some, spans[units], ender[units]), np.zeros(len(units), dtype=bool)
@@ -347,7 +348,7 @@ def _propagate_units(
         good = ~some.any_of_unit(~step.valid)
     except ValueError:
         ends_alone = balls.each == 1 and phase.slides and phase.paced
-        if depth == 0 or (ends_alone and not spans[units].all()):
+        if depth == 0 or (ends_alone and not spans[units].any()):
             raise
         if len(units) > 1 and (balls.each > 1 or ends_alone):
             for half in np.array_split(units, 2):
@@ -357,11 +358,20 @@ def _propagate_units(
             yield from _propagate_units(balls, units, spans, np.full_like(ender, -1), stops, 0)
             return
     if depth == 0 and not good.all():
-        raise ValueError("a slide could not be followed until its goal: it ends before, but not by friction")
+        raise ValueError(_describe_failure(some[np.flatnonzero(~good)], float(abs(spans[units[~good][0]]))))
     if good.any():
         yield units[good], step if good.all() else step[some.rows(np.flatnonzero(good))]
     if not good.all():
         yield from _propagate_units(balls, units[~good], spans / 2, np.full_like(ender, -1), False, depth - 1)
+
+
+def _describe_failure(balls: BallStates, span: float) -> str:
+    """Describe why the first of these units has no step of `span`, s."""
+    if balls.each > 1:
+        return f"two balls that push each other could not be followed for {span:.3g} s: one changes its motion sooner"
+    if balls.modes[0] == SLIDE:
+        return f"a slide could not be followed for {span:.3g} s until its goal: it ends sooner, but not by friction"
+    return f"a {'flight' if balls.modes[0] == FLY else 'roll'} could not be followed for {span:.3g} s: it ends sooner"
 
 
 def propagate_back(balls: BallStates, now: Array, until: Array) -> Iterator[tuple[Index, IntegratedMotion]]:

@@ -1,5 +1,7 @@
 """Slides, rolls and flights without closed form, against scipy's integrator on the raw equations."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from everything import BENT, TIGHT, R, roll_by_hand, slide_by_hand
@@ -7,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from synthcam.dynamics.forces import BallStates, find_ending_slip
 from synthcam.dynamics.kinematics import contact_velocity, roll, rolling_state, rolling_velocity, slide
-from synthcam.dynamics.propagate import propagate, propagate_back
+from synthcam.dynamics.propagate import PhaseIntegrator, propagate, propagate_back
 from synthcam.effects.plate_tilt import PlateTilt
 from synthcam.effects.plate_waviness import PlateWaviness
 from synthcam.effects.stribeck import Stribeck
@@ -162,6 +164,50 @@ def test_a_slide_that_friction_cannot_end_has_a_motion_until_a_goal(goal):
         start = [*first[[0, 1, 3, 4]], *contact_velocity(first, R)]
         by_hand = solve_ivp(right, (0.0, goal), start, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
         np.testing.assert_allclose(last[[0, 1, 3, 4]], by_hand[:4], rtol=0, atol=1e-10)
+
+
+def test_goals_of_some_slides_change_nothing_for_those_without():
+    """Slides along a steep slope: friction cannot end the one with a goal, and ends those that slip uphill."""
+    steep = Model(sliding_friction=0.01, effects=(PlateTilt(x=0.09),))
+    states = np.zeros((3, 9))
+    states[:, 2], states[:, 7] = R, np.array([-0.5, 0.5, 0.7]) / R
+    alone = slides(steep, states[1:], BALLS[1:])
+    steps = propagate(BallStates.without_drilling(steep, BALLS, states), np.array([0.1, np.inf, np.inf]))
+    found = {int(unit): step[[row]] for units, step in steps for row, unit in enumerate(units)}
+    assert found[0].durations == [0.1]
+    for row, unit in enumerate((1, 2)):
+        assert found[unit].ended
+        np.testing.assert_allclose(found[unit].final_states[0], alone.final_states[row], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_slide_without_a_goal_that_friction_cannot_end_says_so_beside_others():
+    steep = Model(sliding_friction=0.01, effects=(PlateTilt(x=0.09),))
+    with pytest.raises(ValueError, match="does not end the slide"):
+        list(propagate(BallStates.without_drilling(steep, BALLS, START), np.array([0.1, np.inf, np.inf])))
+
+
+@pytest.mark.parametrize(
+    ("states", "each", "name"),
+    [
+        (START[:2] + np.array([[0.0] * 9, [0.5, *[0.0] * 8]]), 2, "two balls that push each other"),
+        (ROLLS[:1], 1, "a roll"),
+        (ROLLS[:1] + np.array([0, 0, 0.01, 0, 0, 0.1, 0, 0, 0]), 1, "a flight"),
+        (START[:1], 1, "a slide"),
+    ],
+)
+def test_a_motion_without_a_step_is_called_by_its_name(states, each, name, monkeypatch):
+    run = PhaseIntegrator.run
+
+    def fail(self):
+        step = run(self)
+        return dataclasses.replace(step, valid=np.zeros_like(step.valid))
+
+    monkeypatch.setattr(PhaseIntegrator, "run", fail)
+    model = Model(effects=(PlateTilt(x=1e-3),))
+    balls = BallStates(model, BALLS[: len(states)], states, np.full(len(states), np.inf), each)
+    with pytest.raises(ValueError, match=f"^{name} could not be followed"):
+        list(propagate(balls, np.array([0.01])))
 
 
 def pieced(pieces, times):
