@@ -31,8 +31,9 @@ import numpy as np
 from benchmarks.harness import save
 from benchmarks.real.hits import READERS, measure_hit
 from benchmarks.real.recordings import RecordedHit
-from discrepancy.data.contacts import MAX_BIAS, Contacts
+from discrepancy.data.contacts import Contacts
 from discrepancy.select.contact_effects import ContactClaim, select_contact_laws
+from tracker.measurement.collision.adequacy import USUAL_BIAS
 from tracker.measurement.local.local_columns import calibrate_set
 from tracker.measurement.random_effects import fit_random_effects
 
@@ -95,7 +96,8 @@ def try_masses(given: MassSet) -> Iterator[dict[str, Any]]:
             one |= {"sigma": claim.sigma}
             if "mass_mismatch" in claim.causes:
                 number = claim.numbers[0]
-                one |= {"size": number.value, "std": number.std, "z": (number.value - own + wrong) / number.std}
+                size = -number.value if "struck" in claim.law and strikes == claim.contacts else number.value
+                one |= {"size": size, "std": number.std, "z": (size - own + wrong) / number.std}
             yield one
 
 
@@ -108,7 +110,7 @@ def measure_own(contacts: Contacts) -> tuple[float, float]:
     known = contacts.select(np.isfinite(contacts.recoil) & np.isfinite(contacts.recoil_std))
     design = np.where(known.a_strikes, -1.0, 1.0)[:, None]
     fit = fit_random_effects(known.recoil, *known.split_errors("recoil"), design)
-    usual = 2 * MAX_BIAS / (1 + float(np.median(known.restitution))) if len(set(known.a_strikes)) == 1 else 0.0
+    usual = 2 * USUAL_BIAS / (1 + float(np.median(known.restitution))) if len(set(known.a_strikes)) == 1 else 0.0
     return float(fit.coefficients[0]), max(float(fit.std[0]), usual)
 
 

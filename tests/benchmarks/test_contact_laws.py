@@ -139,6 +139,7 @@ def draw_contacts(width, mu=lambda slip: 0.08, loss=0.0, count=150, seed=1):
         recoil=loss * SLIDING_FRICTION * down + rng.normal(0, 0.01, count),
         recoil_std=np.full(count, 0.01),
         shared=np.zeros((count, 3, 0)),
+        shared_of_recoil=np.zeros((count, 0)),
         **nothing,
     )
 

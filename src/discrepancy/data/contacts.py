@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -18,18 +19,16 @@ from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.camera_errors import remove_shared, shared_effects
-from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER
+from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER, USUAL_BIAS
 from tracker.measurement.local.recommendation import NONE, recommend
 from tracker.recording import Result
 from tracker.results import read_clip
 from tracker.results import read_contact_table as read_all_contacts
-from tracker.settings import FitSettings
 
 NAMES = ("v0", "b", "r", "s", "mass_ratio")  # what is read of the local estimate
 QUANTITIES = ("restitution", "friction", "recoil")
 SLIP_COLUMNS = ("slip_t", "slip_t_std", "slip_down", "slip_down_std", "slip")
 MAX_SHARED = 0.95  # of the error of a contact, what it shares with others
-MAX_BIAS = 2 * FitSettings().local_velocity_error  # of momentum along n, over the normal speed: four usual errors
 NODES = 7  # of a quadrature over the error of each component of a slip
 
 
@@ -64,6 +63,7 @@ class Contacts:
     turn: Array
     turn_std: Array
     shared: Array  # (n, 3, k): changes of QUANTITIES by one standard error of each error that several contacts share
+    shared_of_recoil: Array  # (n, k): the same of the recoil, with a bias of the momentum that is at most usual
 
     @classmethod
     def of(
@@ -83,12 +83,15 @@ class Contacts:
         for one, row in zip(read, every, strict=True):
             if row["status"] == CROWD:
                 one |= _read_slip(row, (slips or {}).get(int(row["clip"]), {}), one["friction_std"])
-        columns = {f.name: np.array([row[f.name] for row in read]) for f in fields(cls) if f.name != "shared"}
+        names = [f.name for f in fields(cls) if not f.name.startswith("shared")]
+        columns = {name: np.array([row[name] for row in read]) for name in names}
         columns["bodies"] = columns["bodies"].reshape(-1, 2).astype(np.int64)
         columns["levers"] = columns["levers"].reshape(-1, 2)
         changes = np.array([_differentiate_quantities(row) for row in every]).reshape(-1, len(QUANTITIES), len(NAMES))
         table = pd.DataFrame({"local_shared": [row["local_shared"] for row in every], "fit": "local"})
-        return cls(**columns, shared=changes @ shared_effects(table, NAMES))
+        usual = table.assign(local_shared=[_limit_bias(text) for text in table["local_shared"]])
+        shared, limited = (changes @ shared_effects(each, NAMES) for each in (table, usual))
+        return cls(**columns, shared=shared, shared_of_recoil=limited[:, QUANTITIES.index("recoil")])
 
     def with_balances(self, clip: int, balances: Sequence[MomentumBalance]) -> Self:
         """Add two rows for each group of contacts of a film, one for each component; they have a recoil alone."""
@@ -105,7 +108,7 @@ class Contacts:
         own |= dict.fromkeys(("a_strikes", "glides"), np.zeros(count, dtype=bool))
         own |= {"recoil": np.concatenate([each.gained for each in balances])}
         own |= {"recoil_std": np.repeat([each.std for each in balances], 2)}
-        own |= {"shared": np.zeros((count, *self.shared.shape[1:]))}
+        own |= {name: np.zeros((count, *getattr(self, name).shape[1:])) for name in ("shared", "shared_of_recoil")}
         wide = np.pad(self.bodies, ((0, 0), (0, most - self.bodies.shape[1])), constant_values=-1)
         here = vars(self) | {"bodies": wide, "levers": np.pad(self.levers, ((0, 0), (0, most - self.levers.shape[1])))}
         return replace(self, **{name: np.concatenate([here[name], own[name]]) for name in own})
@@ -143,16 +146,23 @@ class Contacts:
 
         Momentum that all hits lose may be an error of velocities, as far as that is usual. The rest is a mass or a law.
         """
-        std, effects = getattr(self, f"{quantity}_std"), self.shared[:, QUANTITIES.index(quantity)]
-        if quantity == "recoil" and not self.of_crowd.any():
-            size = np.sqrt((effects**2).sum(axis=1))
-            usual = MAX_BIAS * 2 / (1 + np.nan_to_num(self.restitution, nan=1.0))
-            limited = effects * np.minimum(1.0, usual / np.maximum(size, 1e-300))[:, None]
-            return remove_shared(std, effects[:, None]), limited
+        std, shared = getattr(self, f"{quantity}_std"), self.shared[:, QUANTITIES.index(quantity)]
+        effects = self.shared_of_recoil if quantity == "recoil" else shared
         size = np.sqrt((effects**2).sum(axis=1))
         most = np.where(self.of_crowd, MAX_SHARED * std, np.inf)
         limited = effects * np.minimum(1.0, most / np.maximum(size, 1e-300))[:, None]
-        return remove_shared(std, limited[:, None]), limited
+        known = np.where(self.of_crowd[:, None], limited, shared)
+        return remove_shared(std, known[:, None]), limited
+
+
+def _limit_bias(local_shared: str) -> str:
+    """Limit the bias of the momentum among the shared errors of a local estimate to USUAL_BIAS."""
+    blocks = json.loads(local_shared)
+    for key, block in blocks.items():
+        if key.startswith("bias_") and abs(block["of"]) > USUAL_BIAS:
+            share = USUAL_BIAS / abs(block["of"])
+            blocks[key] = block | {"effect": {name: share * v for name, v in block["effect"].items()}}
+    return json.dumps(blocks)
 
 
 def _is_usable(row: Mapping[Any, Any]) -> bool:

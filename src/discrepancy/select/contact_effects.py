@@ -46,7 +46,8 @@ ODD_PRICE = 2 * math.log(1 / 0.05 - 1)
 class ContactLaw:
     """A law of a quantity: its design (n, p) for n contacts, and the names of its numbers with their units.
 
-    causes: the effects that make this law. trials: how many laws of this kind are tried, of which one at most holds.
+    causes: the effects that make this law. causes_if_negative: those that make it with a negative number; default all.
+    trials: how many laws of this kind are tried, of which one at most holds.
     """
 
     name: str
@@ -56,6 +57,7 @@ class ContactLaw:
     trials: int = 0
     limit: Callable[[Contacts], Array] | None = None  # (n, 1) of the quantity, where surfaces of balls stick
     contains: str | None = None  # the law that it is without its last number
+    causes_if_negative: tuple[str, ...] | None = None
     of_slip: bool = False  # whether the design depends on slips, which have errors in a crowd
 
     def fit(self, contacts: Contacts, value: Array, errors: tuple[Array, Array], price: Array) -> _Fit:
@@ -101,9 +103,9 @@ class ContactLaw:
         return self.name.replace("heavier", "lighter") if fit.coefficients.sum() < 0 else self.name
 
     def list_causes(self, fit: _Fit) -> tuple[str, ...]:
-        """List its causes; a hop takes momentum away, so it never makes the struck body seem lighter."""
-        lighter = "hop" in self.causes and fit.design.shape[1] == 1 and fit.coefficients.sum() < 0
-        return tuple(cause for cause in self.causes if not (lighter and cause == "hop"))
+        """List the effects that make this law with the sign of its fit."""
+        negative = self.causes_if_negative is not None and fit.coefficients.sum() < 0
+        return self.causes_if_negative or () if negative else self.causes
 
     def is_shown(self, fit: _Fit, contacts: Contacts) -> bool:
         """Decide whether more than one contact shows it, if it is one of several of its kind.
@@ -271,7 +273,11 @@ LAWS: dict[str, tuple[ContactLaw, ...]] = {
     "recoil": (
         ContactLaw("as the masses say", _nothing, ()),
         ContactLaw(
-            "the struck body seems heavier by a share", _ones, (("log of the ratio", "1"),), ("mass_mismatch", "hop")
+            "the struck body seems heavier by a share",
+            _ones,
+            (("log of the ratio", "1"),),
+            ("mass_mismatch", "hop"),
+            causes_if_negative=("mass_mismatch",),  # a hop takes momentum away
         ),
         ContactLaw("ball a is heavier by a share", _by_body, (("log of the ratio", "1"),), ("mass_mismatch",)),
     ),

@@ -8,10 +8,8 @@ from collections import Counter
 import numpy as np
 import pandas as pd
 
-from tracker.measurement.collision.adequacy import CROWD, MEASURED, MISFIT, Flag, find_gliding_hits
+from tracker.measurement.collision.adequacy import CROWD, MEASURED, MISFIT, USUAL_BIAS, Flag, find_gliding_hits
 from tracker.notes import Note, NoteKind
-
-MAX_USUAL_BIAS = 0.05  # of the normal speed: twice what four velocities with the usual error make
 
 _EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
     **dict.fromkeys(
@@ -166,11 +164,11 @@ def _describe_masses(used: pd.DataFrame, hits: int) -> list[str]:
             " the striker. ball_masses is [ball a, ball b], and b is the striker if no column striker says otherwise:"
             " check which ball is which"
         )
-    bias = float(used["local_bias"].iloc[0])
-    if hits and abs(bias) > MAX_USUAL_BIAS and not (used["status"] == CROWD).any():
+    bias, bias_std = _read_bias(used.iloc[0])
+    if hits and abs(bias) > max(2 * USUAL_BIAS, 5 * bias_std) and not (used["status"] == CROWD).any():
         texts.append(
             f"masses: momentum along the line of centres changes by {bias:.1%} of the normal speed. Errors of"
-            f" velocities rarely exceed {MAX_USUAL_BIAS:.0%}. Check ball_masses of the camera file, and whether bodies"
+            f" velocities rarely exceed {2 * USUAL_BIAS:.0%}. Check ball_masses of the camera file, and whether bodies"
             " lift off or touch something else"
         )
     # effects of the camera may name it too
@@ -191,6 +189,14 @@ def _describe_masses(used: pd.DataFrame, hits: int) -> list[str]:
             " which ball is which. Energies are those of the given masses, and their errors count the difference"
         )
     return texts
+
+
+def _read_bias(row: pd.Series) -> tuple[float, float]:
+    """Read the bias of a set, over the normal speed, and its standard error, which the shared errors contain too."""
+    shared, bias = json.loads(row["local_shared"]), float(row["local_bias"])
+    effects = [block["effect"].get("balance_n", 0.0) for key, block in shared.items() if key.startswith("bias_")]
+    size = float(np.linalg.norm(effects)) / max(float(json.loads(row["local"])["vn"]), 1e-300)
+    return bias, float(np.sqrt(max(size**2 - bias**2, 0.0)))
 
 
 def _count(number: int) -> str:

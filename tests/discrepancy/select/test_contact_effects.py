@@ -35,12 +35,13 @@ def draw(count=60, seed=1, shared=None, **laws):
     }
     values |= {name: np.full(count, np.nan) for name in ("turn", "turn_std")}
     empty = {f"{name}{end}": np.full(count, 0.8) for name in ERROR for end in ("", "_std")}
-    plain = Contacts(**values, **empty, shared=np.zeros((count, 3, 0)))
+    shared = np.zeros((count, 3, 0)) if shared is None else shared
+    plain = Contacts(**values, **empty, shared=shared, shared_of_recoil=shared[:, 2])
     usual = {"restitution": lambda c: 0.8, "friction": lambda c: 0.0, "recoil": lambda c: 0.0}
     for name, law in (usual | laws).items():
         own = rng.standard_normal(count) * ERROR[name] * np.sqrt(5)
         values |= {name: law(plain) + own, f"{name}_std": np.full(count, ERROR[name])}
-    return Contacts(**values, shared=np.zeros((count, 3, 0)) if shared is None else shared)
+    return Contacts(**values, shared=shared, shared_of_recoil=shared[:, 2])
 
 
 def law_of(contacts, quantity):

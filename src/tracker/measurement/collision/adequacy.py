@@ -15,6 +15,7 @@ from tracker.settings import FitSettings
 
 MISFIT = "misfit"
 TOGETHER = "stay_together"
+USUAL_BIAS = 0.025  # of the momentum along n over the normal speed: four velocities with errors of 1.25 %
 CROWD = "crowd"
 GLIDE, ROLL = "glide", "slide and roll"  # in the column motion_local
 HIDDEN_SLIDE = (
