@@ -264,8 +264,8 @@ def fit_motions(
             if found[-1].is_good and (known or slid) and _suffices(found[-1], before, slides_seen):
                 break
     found = [one for one in found if one.is_good] or found
-    noise = max(min(s.chi2 / s.dof for s in found), 1.0 if known else 1e-12)
-    return sorted(found, key=lambda s: s.cost / noise + s.cost_with_price - s.cost)
+    noise = max(min(s.chi2 / s.dof for s in found), 1.0 if known else 1e-12)  # of positions, not of what is known
+    return sorted(found, key=lambda s: (s.cost - s.cost_of_known) * (1 / noise - 1) + s.cost_with_price)
 
 
 def _suffices(solution: LocalSolution, before: Sequence[Sequence[MotionKind]], slides_seen: bool) -> bool:
