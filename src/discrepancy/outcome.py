@@ -38,17 +38,21 @@ def decide_verdict(
     left: Sequence[Disagreement],
     rejected: Sequence[ClaimTest],
     policy: SearchPolicy,
+    *,
+    is_within_noise: bool = False,
 ) -> Verdict:
     """Decide the verdict.
 
     claims, has_law: the effects, and whether a free law, that passed; left: the disagreements that remain with them. A
     rejected test below `unexplained_sigma` may be chance or a bad clip. It does not show that something is missing.
+    is_within_noise: the base model leaves no more than noise on held-out data. Then no rejected test shows it either:
+    the candidate only fits what its own data happen to have.
     """
     if has_law or (claims and more_is_missing(left, rejected, policy)):
         return Verdict.OUTSIDE_LIBRARY
     if not claims:
-        missing = is_unexplained(left, policy) or any(t.sigma > policy.unexplained_sigma for t in rejected)
-        return Verdict.INADEQUATE if missing else Verdict.NONE
+        strong = any(t.sigma > policy.unexplained_sigma for t in rejected) and not is_within_noise
+        return Verdict.INADEQUATE if strong or is_unexplained(left, policy) else Verdict.NONE
     return Verdict.AMBIGUOUS if any(len(c.aliases) > 1 for c in claims) else Verdict.NAMED
 
 

@@ -252,7 +252,8 @@ def finish_search(
             left = find_disagreements(selection.explained_clips(data.clips), selection.joint_fit, data.noise)
     more = more_is_missing(left, validated.rejected, policy)
     claims = validated.claims_by_scatter(data.is_cut) if more or data.is_cut else validated.claims
-    verdict = decide_verdict(claims, law is not None, left, validated.rejected, policy)
+    is_within_noise = gap.gap.before <= gap.gap.floor
+    verdict = decide_verdict(claims, law is not None, left, validated.rejected, policy, is_within_noise=is_within_noise)
     if selection.interrupted and any(c.sigma > library.required_sigma for c in library.ranking[:1]):
         verdict = Verdict.INADEQUATE
     smoothed = [SearchNote(SearchNoteKind.SMOOTHED)] if data.is_smoothed else []

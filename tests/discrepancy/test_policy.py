@@ -274,7 +274,9 @@ def test_five_sigma_left_are_something_more(sigma, verdict):
 
 @pytest.mark.parametrize(("own", "verdict"), [(4.0, "none"), (6.0, "inadequate")])
 def test_a_claim_withdrawn_that_chance_may_have_made_is_no_sign_of_more(own, verdict):
-    assert decide_verdict((), False, [], [Made(sigma=own, is_free_law=False)], SearchPolicy()) == verdict
+    rejected = [Made(sigma=own, is_free_law=False)]
+    assert decide_verdict((), False, [], rejected, SearchPolicy()) == verdict
+    assert decide_verdict((), False, [], rejected, SearchPolicy(), is_within_noise=True) == "none"
 
 
 @pytest.mark.parametrize(("own", "verdict"), [(4.0, "named"), (6.0, "outside_library")])
