@@ -116,7 +116,7 @@ def measure_gas(
     a2, a2_std = measure_sonine(table, time, noise)
     values = {"position_noise": noise, "noise_ratio": noise / claimed, "sonine_a2": a2, "sonine_a2_std": a2_std}
     values |= (law := measure_rolling_loss(balls, paths, noise))
-    values |= measure_sliding_friction(balls, () if camera.on_air else paths, noise)
+    values |= measure_sliding_friction(balls, () if camera.on_air else paths, noise, law)
     time = balance_on_air(time, table, law) if camera.on_air else time
     values |= _measure_rates(balls, contacts) | _predict_rates(time, sides, camera)
     # the relative errors of lengths and of the frame rate in whatever depends on them
