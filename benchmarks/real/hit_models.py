@@ -12,8 +12,8 @@ The laws of the impact are these. The slip of a ball is the velocity of its lowe
 - **Normal.** The struck ball gets (1 + r)/2 v_n along the line of centres n.
 - **Slip of the surfaces.** In the plane it is v_t and R times the spin about the vertical. Downwards it is the speed
   with which the striker rolls along n.
-- **Friction.** It opposes that slip. It is a share C of 2/5 of it, or mu times the normal impulse. At most it ends the
-  slip, by 2/7 of it.
+- **Friction.** It opposes that slip. It is a share C of 2/5 of it, or mu times the normal impulse. An impulse J changes
+  the slip between two equal solid balls by 7 J. So friction is at most 1/7 of the slip, which ends it.
 - **Spin.** The vertical part J of the friction adds 5/2 J along n to the slip of both balls.
 - **Hop.** The cloth, with the friction m, takes m J more from the struck ball, against its slip. From the striker it
   takes m J less.
@@ -22,7 +22,7 @@ The laws of the impact are these. The slip of a ball is the velocity of its lowe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from tracker.measurement.collision.collision_model import GRAVITY, SLIP_RATE
 
 WINDOW_S, LEAST_POSITIONS = 0.5, 8  # of positions, to either side of the contact
 USUAL_SLIP_M_S = 2.5
+MAX_FRICTION_OF_SLIP = 1 / 7  # impulse over the mass that ends the slip between two equal solid balls, over that slip
 ROLLS_S = -9.0  # end of a slide so long ago that the striker rolls throughout
 TINY_M_S = 1e-9
 
@@ -145,8 +146,8 @@ class Common:
 
 
 @dataclass(frozen=True)
-class _Ball:
-    """Balls (n,) at the contact: position, velocity and slip (n, 2), and the cloth's friction times g."""
+class BallsAtContact:
+    """The same ball of n hits at the contact: position, velocity and slip (n, 2), and the cloth's friction times g."""
 
     place: Array
     velocity: Array
@@ -168,12 +169,12 @@ def predict(hits: HitPositions, own: Array, common: Common, laws: HitLaws) -> Ar
     slides_s = np.maximum(values["end"], 0.0)
     slip = -SLIP_RATE * (cloth[:, 0] * slides_s)[:, None] * towards
     distance = hits.diameter + shared["distance"] + effects["distance"][:, 0]
-    before = _Ball(place - distance[:, None] * along, velocity, slip, cloth[:, 0])
+    before = BallsAtContact(place - distance[:, None] * along, velocity, slip, cloth[:, 0])
     struck, striker = collide(before, values["normal"] + effects["turn"][:, 0], effects, shared, laws)
-    struck = _Ball(place, struck.velocity, struck.slip, cloth[:, 1])
-    striker = _Ball(before.place, striker.velocity, striker.slip, cloth[:, 2])
+    struck = replace(struck, place=place, pull=cloth[:, 1])
+    striker = replace(striker, pull=cloth[:, 2])
     if not laws.slides_after:
-        struck, striker = (_Ball(b.place, b.velocity, np.zeros_like(b.slip), b.pull) for b in (struck, striker))
+        struck, striker = (replace(ball, slip=np.zeros_like(ball.slip)) for ball in (struck, striker))
     late = values["t_c"][:, None]
     since = hits.striker_time - late
     early = _go_back(before, towards, np.maximum(-since, 0.0), values["end"], shared, laws)
@@ -193,8 +194,8 @@ def _scale_effects(own: Array, common: Common) -> dict[str, Array]:
 
 
 def collide(
-    before: _Ball, normal: Array, effects: dict[str, Array], shared: dict[str, float], laws: HitLaws
-) -> tuple[_Ball, _Ball]:
+    before: BallsAtContact, normal: Array, effects: dict[str, Array], shared: dict[str, float], laws: HitLaws
+) -> tuple[BallsAtContact, BallsAtContact]:
     """The struck ball and the striker just after the impact; normal: direction (n,) of the line of centres, rad."""
     n = _unit(normal)
     t = np.column_stack([-n[:, 1], n[:, 0]])
@@ -206,10 +207,8 @@ def collide(
     down = np.sum(rolling * n, axis=1)
     slip = np.maximum(np.hypot(across, down), TINY_M_S)
     rubs = shared["friction"] + effects["friction"][:, 0]
-    if laws.coulomb:
-        strength = np.clip((rubs - shared["fall"] * np.log(slip / USUAL_SLIP_M_S)) * push, 0.0, 2 / 7 * slip)
-    else:
-        strength = 0.4 * rubs * slip
+    coulomb = np.maximum((rubs - shared["fall"] * np.log(slip / USUAL_SLIP_M_S)) * push, 0.0)
+    strength = np.minimum(coulomb if laws.coulomb else 0.4 * rubs * slip, MAX_FRICTION_OF_SLIP * slip)
     drag, press = strength * across / slip, strength * down / slip
     kick = push[:, None] * n + drag[:, None] * t
     out = []
@@ -221,11 +220,11 @@ def collide(
         own = slice(2 * ball, 2 * ball + 2)
         velocity = velocity - hop + speed[:, None] * effects["kick"][:, own]
         lowest = lowest - SLIP_RATE * hop + speed[:, None] * effects["slip"][:, own]
-        out.append(_Ball(before.place, velocity, lowest, before.pull))
+        out.append(BallsAtContact(before.place, velocity, lowest, before.pull))
     return out[0], out[1]
 
 
-def _go_on(ball: _Ball, since: Array, shared: dict[str, float]) -> Array:
+def _go_on(ball: BallsAtContact, since: Array, shared: dict[str, float]) -> Array:
     """Positions (n, k, 2) of balls that slide and then roll, at times (n, k) after the contact."""
     size = np.maximum(np.hypot(*ball.slip.T), TINY_M_S)
     pull = -(ball.pull / size)[:, None] * ball.slip
@@ -238,7 +237,9 @@ def _go_on(ball: _Ball, since: Array, shared: dict[str, float]) -> Array:
     return np.asarray(ball.place[:, None] + slid + way[..., None] * heading[:, None])
 
 
-def _go_back(ball: _Ball, towards: Array, before: Array, end: Array, shared: dict[str, float], laws: HitLaws) -> Array:
+def _go_back(
+    ball: BallsAtContact, towards: Array, before: Array, end: Array, shared: dict[str, float], laws: HitLaws
+) -> Array:
     """Positions (n, k, 2) of strikers at times (n, k) before the contact, whose slides end at `end` (n,) from it."""
     rolls = np.minimum(before, np.maximum(-end, 0.0)[:, None])
     if laws.striker == "state":
