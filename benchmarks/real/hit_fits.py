@@ -14,12 +14,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.real.hit_models import NUMBERS, OWN, RANDOM, ROLLS_S, Common, HitLaws, HitPositions, predict
+from benchmarks.real.hit_models import (
+    NUMBERS,
+    OF_SLIDE,
+    OWN,
+    POSITION,
+    RANDOM,
+    ROLLS_S,
+    VELOCITY,
+    Common,
+    HitLaws,
+    HitPositions,
+    predict,
+)
 from synthcam_shared.arrays import Array, Flags, Ints
 
 NOISE_M = 3e-4
 END_PRIOR_S = (-0.2, 0.5)  # of the end of the striker's slide: mean and error
-PULL_ERROR = 1.8  # rad, of any direction
+ANY_ANGLE_ERROR = 1.8  # rad, of any direction
+PRIOR_ERRORS = {"slide_end": END_PRIOR_S[1], "acceleration_angle": ANY_ANGLE_ERROR} | dict.fromkeys(RANDOM, 1.0)
+LARGEST_STEPS = {"t_c": 0.01, "x": 0.01, "y": 0.01, "normal": 0.3, "vx": 0.5, "vy": 0.5}  # s, m, rad, m/s
+LARGEST_STEPS |= {"slide_end": 0.1, "acceleration_angle": 0.5} | dict.fromkeys(RANDOM, 2.0)
 STARTING_ENDS_S = (-0.35, -0.2, -0.08, 0.03, 0.15)
 FREE_NUMBERS = {"kick": 1.0, "slip": 1.0, "distance": 0.01}  # of hits without a law of the impact: errors all but free
 SHARED_PRIORS = {"cloth": (0.2, 0.1), "loss": (0.04, 0.04), "drag": (0.01, 0.02), "hop": (0.0, 1.0)}  # mean, error
@@ -37,7 +52,7 @@ class HitModel:
     @property
     def active(self) -> Ints:
         """The numbers of a hit that are fitted, as indices of NUMBERS."""
-        named = set(OWN) if self.laws.striker != "rolls" else set(OWN[:6])
+        named = set(OWN) - (set(OF_SLIDE) if self.laws.striker == "rolls" else set())
         named |= set(self.scatters) | (set(FREE_NUMBERS) if self.free else set())
         return np.flatnonzero([name in named for name in NUMBERS])
 
@@ -45,7 +60,7 @@ class HitModel:
     def lost(self) -> int:
         """The degrees of freedom that the numbers of a hit take."""
         slides = self.laws.striker != "rolls"
-        return 6 + slides + (sum(name in FREE_NUMBERS for name in RANDOM) if self.free else 0)
+        return len(OWN) - len(OF_SLIDE) + slides + (sum(name in FREE_NUMBERS for name in RANDOM) if self.free else 0)
 
 
 @dataclass(frozen=True)
@@ -70,24 +85,50 @@ class HitFit:
         return np.asarray(-log_errors - self.log_volume - self.dof / 2 * np.log(self.ratio))
 
 
+@dataclass(frozen=True)
+class _Linearised:
+    """The residuals of hits near their numbers, whitened."""
+
+    residual: Array  # (n, m)
+    slope: Array  # (n, m, p)
+    information: Array  # (n, p, p)
+    descent: Array  # (n, p) half of the rate at which chi^2 falls with each number
+
+
+@dataclass(frozen=True)
 class _Problem:
     """The residuals of hits by one model, and their derivatives."""
 
-    def __init__(self, hits: HitPositions, errors: Array, model: HitModel) -> None:
-        self.hits, self.model, self.active = hits, model, model.active
-        self.observed = np.nan_to_num(hits.coordinates)
-        self.weight = np.where(np.isfinite(hits.since) | (hits.since == -np.inf), 1 / errors, 0.0)
-        self.random = self.active >= len(OWN)
-        self.precision = self.random.astype(float)
-        for k, number in enumerate(self.active):
-            if NUMBERS[number] in ("end", "pull"):
-                self.precision[k] = 1 / (END_PRIOR_S[1] if NUMBERS[number] == "end" else PULL_ERROR) ** 2
+    hits: HitPositions
+    model: HitModel
+    observed: Array  # (n, m) m
+    weight: Array  # (n, m) 1/m, 0 where there is no coordinate
+    active: Ints  # (p,) the numbers that are fitted, as indices of NUMBERS
+    precision: Array  # (p,) of what is known of them
+    largest_step: Array  # (p,)
+
+    @classmethod
+    def of(cls, hits: HitPositions, errors: Array, model: HitModel) -> _Problem:
+        """State the problem; errors (n, m): standard errors of coordinates, m."""
+        names = [NUMBERS[number] for number in model.active]
+        return cls(
+            hits=hits,
+            model=model,
+            observed=np.nan_to_num(hits.coordinates),
+            weight=np.where(np.isfinite(hits.since) | (hits.since == -np.inf), 1 / errors, 0.0),
+            active=model.active,
+            precision=np.array([PRIOR_ERRORS.get(name, np.inf) for name in names]) ** -2.0,
+            largest_step=np.array([LARGEST_STEPS[name] for name in names]),
+        )
 
     def select(self, rows: Ints) -> _Problem:
-        """The same of other hits."""
-        out = object.__new__(_Problem)
-        out.__dict__ |= self.__dict__
-        out.hits, out.observed, out.weight = self.hits.select(rows), self.observed[rows], self.weight[rows]
+        """State the same problem for hits that are selected by their indices, which may repeat."""
+        return replace(self, hits=self.hits.select(rows), observed=self.observed[rows], weight=self.weight[rows])
+
+    def move(self, own: Array, steps: Array) -> Array:
+        """Change the numbers (n, q) of hits by steps (n, p) of the active ones, which are limited."""
+        out = own.copy()
+        out[:, self.active] += np.clip(steps, -self.largest_step, self.largest_step)
         return out
 
     def find_residuals(self, own: Array, common: Common) -> Array:
@@ -96,13 +137,21 @@ class _Problem:
 
     def find_offsets(self, own: Array) -> Array:
         """How far the numbers (n, p) of hits are off what is known of them."""
-        off = np.where(self.random, own[:, self.active], 0.0)
+        off = np.where(self.active >= len(OWN), own[:, self.active], 0.0)
         end = own[:, self.active] - END_PRIOR_S[0]
-        return np.where((self.active == OWN.index("end")) & (end > ROLLS_S / 2), end, off)
+        return np.where((self.active == OWN.index("slide_end")) & (end > ROLLS_S / 2), end, off)
 
     def find_cost(self, own: Array, common: Common) -> Array:
         off = self.find_offsets(own)
         return np.asarray(np.sum(self.find_residuals(own, common) ** 2, axis=1) + off**2 @ self.precision)
+
+    def linearise(self, own: Array, common: Common) -> _Linearised:
+        """Linearise the residuals about the numbers (n, q) of hits."""
+        residual = self.find_residuals(own, common)
+        slope = self.differentiate(own, common, residual)
+        information = slope.swapaxes(1, 2) @ slope + np.diag(self.precision)
+        descent = _project(slope, residual) - self.precision * self.find_offsets(own)
+        return _Linearised(residual, slope, information, descent)
 
     def differentiate(self, own: Array, common: Common, residual: Array) -> Array:
         """Derivatives (n, m, p) of the predictions, whitened."""
@@ -132,41 +181,39 @@ def guess_numbers(hits: HitPositions) -> Array:
     """Guess numbers (n, s, p) of each hit: one start whose striker rolls, and one for each end of its slide."""
     count = len(hits.contact)
     own = np.zeros((count, 1 + len(STARTING_ENDS_S), len(NUMBERS)))
-    own[:, 0, OWN.index("end")] = -0.6
+    slide_end, angle = OWN.index("slide_end"), OWN.index("acceleration_angle")
+    own[:, 0, slide_end] = -0.6
     for k in range(count):
         t, xy = hits.striker_time[k], hits.striker[k]
         rows = np.isfinite(t) & (t < -0.01)
         later = np.isfinite(hits.struck_time[k])
         push = np.mean(hits.struck[k, later][:3], axis=0) - hits.rest[k]
-        own[k, :, OWN.index("normal")] = np.arctan2(push[1], push[0])
-        own[k, :, 1:3] = hits.rest[k]
+        guess = own[k]
+        guess[:, OWN.index("normal")] = np.arctan2(push[1], push[0])
+        guess[:, POSITION] = hits.rest[k]
         for s, end in enumerate((None, *STARTING_ENDS_S)):
             slides = np.maximum(end - t[rows], 0.0) if end is not None else np.zeros(rows.sum())
             columns = [np.ones(rows.sum()), t[rows], *([slides**2 / 2] if slides.any() else [])]
             found = np.linalg.lstsq(np.column_stack(columns), xy[rows], rcond=None)[0]
-            own[k, s, 4:6] = found[1]
+            guess[s, VELOCITY] = found[1]
             if end is not None:
-                own[k, s, OWN.index("end")] = end
+                guess[s, slide_end] = end
                 if len(found) == 3:
-                    own[k, s, OWN.index("pull")] = np.arctan2(found[2, 1], found[2, 0])
-                    own[k, s, 4:6] += found[2] * max(end, 0.0) * -1.0
+                    guess[s, angle] = np.arctan2(found[2, 1], found[2, 0])
+                    guess[s, VELOCITY] -= found[2] * max(end, 0.0)
     return own
 
 
 def descend(problem: _Problem, own: Array, common: Common, steps: int) -> Array:
     """Take damped Gauss-Newton steps of the numbers (n, p) of each hit."""
-    active, damp = problem.active, np.full(len(own), 1e-3)
+    damp = np.full(len(own), 1e-3)
     cost = problem.find_cost(own, common)
     for _ in range(steps):
-        residual = problem.find_residuals(own, common)
-        slope = problem.differentiate(own, common, residual)
-        info = slope.swapaxes(1, 2) @ slope + np.diag(problem.precision)
-        pull = _project(slope, residual) - problem.precision * problem.find_offsets(own)
+        at = problem.linearise(own, common)
         for _ in range(3):
-            diagonal = damp[:, None] * np.einsum("npp->np", info) + 1e-9
-            step = np.linalg.solve(info + diagonal[..., None] * np.eye(len(active)), pull[..., None])[..., 0]
-            tried = own.copy()
-            tried[:, active] += np.clip(step, -_REACH[active], _REACH[active])
+            diagonal = damp[:, None] * np.einsum("npp->np", at.information) + 1e-9
+            damped = at.information + diagonal[..., None] * np.eye(len(problem.active))
+            tried = problem.move(own, np.linalg.solve(damped, at.descent[..., None])[..., 0])
             new = problem.find_cost(tried, common)
             better = new < cost
             own, cost = np.where(better[:, None], tried, own), np.where(better, new, cost)
@@ -175,9 +222,6 @@ def descend(problem: _Problem, own: Array, common: Common, steps: int) -> Array:
                 break
         damp = np.clip(damp, 1e-9, 1e4)
     return own
-
-
-_REACH = np.array([0.01, 0.01, 0.01, 0.3, 0.5, 0.5, 0.1, 0.5] + [2.0] * len(RANDOM))
 
 
 def _project(slope: Array, residual: Array) -> Array:
@@ -210,7 +254,7 @@ def fit_model(
 
     errors (n, m): standard errors of coordinates, m. starts: numbers (n, s, p).
     """
-    problem = _Problem(hits, errors, model)
+    problem = _Problem.of(hits, errors, model)
     dof = count_freedom(hits, model)
     if model.free:
         common = replace(common, scatters=common.scatters | FREE_NUMBERS)
@@ -221,10 +265,8 @@ def fit_model(
         if changed < 0.05 and turn > 1:
             break
     own = descend(problem, own, common, 6)
-    residual = problem.find_residuals(own, common)
-    slope = problem.differentiate(own, common, residual)
-    info = slope.swapaxes(1, 2) @ slope + np.diag(problem.precision)
-    volume = np.linalg.slogdet(info)[1] / 2 - np.log(problem.precision[problem.precision > 0]).sum() / 2
+    information = problem.linearise(own, common).information
+    volume = np.linalg.slogdet(information)[1] / 2 - np.log(problem.precision[problem.precision > 0]).sum() / 2
     return HitFit(model, common, own, problem.find_cost(own, common), dof, volume)
 
 
@@ -233,18 +275,15 @@ def _improve_common(
 ) -> tuple[float, Common, Array]:
     """Take one step of the shared numbers and scatters; also the largest change of one, over its error, and own."""
     model, rows = problem.model, np.flatnonzero(counted)
-    residual = problem.find_residuals(own, common)
-    slope = problem.differentiate(own, common, residual)
-    by_shared = problem.differentiate_shared(own, common, residual)
-    info = slope.swapaxes(1, 2) @ slope + np.diag(problem.precision)
-    info += 1e-9 * np.einsum("npp->np", info)[..., None] * np.eye(len(problem.active))
-    pull = _project(slope, residual) - problem.precision * problem.find_offsets(own)
-    cross = slope.swapaxes(1, 2) @ by_shared
-    cov = np.linalg.inv(info)
+    at = problem.linearise(own, common)
+    by_shared = problem.differentiate_shared(own, common, at.residual)
+    diagonal = np.einsum("npp->np", at.information)
+    cross = at.slope.swapaxes(1, 2) @ by_shared
+    cov = np.linalg.inv(at.information + 1e-9 * diagonal[..., None] * np.eye(len(problem.active)))
     weight = 1 / np.maximum(1.0, problem.find_cost(own, common) / dof)
     gain = cov @ cross
     matrix = by_shared.swapaxes(1, 2) @ by_shared - cross.swapaxes(1, 2) @ gain
-    right = _project(by_shared, residual) - _project(gain, pull)
+    right = _project(by_shared, at.residual) - _project(gain, at.descent)
     total = np.tensordot(weight[rows], matrix[rows], 1)
     aim = weight[rows] @ right[rows]
     for k, name in enumerate(model.shared):
@@ -255,17 +294,15 @@ def _improve_common(
     step = np.linalg.solve(total, aim)
     changed = float(np.max(np.abs(step) * np.sqrt(np.diag(total)), initial=0.0))
     numbers = common.numbers | {n: common.numbers[n] + float(x) for n, x in zip(model.shared, step, strict=True)}
-    moved = own.copy()
-    moves = gain @ step
-    moved[:, problem.active] -= np.clip(moves, -_REACH[problem.active], _REACH[problem.active])
+    moved = problem.move(own, -(gain @ step))
     scatters = dict(common.scatters)
     for name in model.scatters:
-        at = np.flatnonzero([NUMBERS[k] == name for k in problem.active])
-        squares = (own[:, problem.active[at]] ** 2 + np.einsum("npp->np", cov)[:, at]).mean(axis=1)
+        parts = np.flatnonzero([NUMBERS[k] == name for k in problem.active])
+        squares = (own[:, problem.active[parts]] ** 2 + np.einsum("npp->np", cov)[:, parts]).mean(axis=1)
         factor = float(np.sqrt(np.average(squares[rows], weights=weight[rows])))
         scatters[name] = max(common.scatters[name] * factor**1.7, 1e-5)  # the power makes it converge faster
         changed = max(changed, 10 * abs(float(np.log(factor))))
-        moved[:, problem.active[at]] *= common.scatters[name] / scatters[name]
+        moved[:, problem.active[parts]] *= common.scatters[name] / scatters[name]
     return changed, Common(numbers, scatters), moved
 
 
@@ -274,13 +311,11 @@ def measure_near_noise(hits: HitPositions, fit: HitFit, errors: Array, near: Fla
 
     errors: with which it was fitted. near (n, m): the coordinates beside the contact.
     """
-    problem = _Problem(hits, errors, fit.model)
-    residual = problem.find_residuals(fit.own, fit.common)
-    slope = problem.differentiate(fit.own, fit.common, residual)
-    info = slope.swapaxes(1, 2) @ slope + np.diag(problem.precision)
-    lever = np.sum(slope @ np.linalg.inv(info) * slope, axis=2)
+    problem = _Problem.of(hits, errors, fit.model)
+    at = problem.linearise(fit.own, fit.common)
+    lever = np.sum(at.slope @ np.linalg.inv(at.information) * at.slope, axis=2)
     weight = (counted / np.maximum(1.0, fit.ratio))[:, None] * (near & (problem.weight > 0))
-    square = np.sum(weight * (residual * np.nan_to_num(errors)) ** 2) / np.sum(weight * (1 - lever))
+    square = np.sum(weight * (at.residual * np.nan_to_num(errors)) ** 2) / np.sum(weight * (1 - lever))
     return float(np.sqrt(square))
 
 
@@ -293,5 +328,5 @@ def make_errors(hits: HitPositions, near: Flags | None = None, near_m: float = N
 def roll_throughout(starts: Array) -> Array:
     """The same starts of strikers that roll throughout."""
     out = starts[:, :1].copy()
-    out[:, :, OWN.index("end")] = ROLLS_S
+    out[:, :, OWN.index("slide_end")] = ROLLS_S
     return out

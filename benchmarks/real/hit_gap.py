@@ -42,7 +42,7 @@ from benchmarks.real.hit_fits import (
     measure_near_noise,
     roll_throughout,
 )
-from benchmarks.real.hit_models import Common, HitLaws, HitPositions
+from benchmarks.real.hit_models import OWN, SHARED, Common, HitLaws, HitPositions
 from benchmarks.real.hits import correct_map
 from benchmarks.real.recordings import RecordedHit, read_billiards
 from synthcam_shared.arrays import Array, Flags, Ints
@@ -50,21 +50,21 @@ from tracker.calibration.camera_warp import VALIDATION_FOLDS
 
 NEAR_FRAMES = 1.5
 SCATTER_TURNS = 30  # of fits that have scatters
-START = {"cloth": 0.2, "loss": 0.04, "drag": 0.01, "r": 0.96, "friction": 0.08}
+START = dict.fromkeys(SHARED, 0.0) | {"cloth": 0.2, "loss": 0.04, "drag": 0.01, "r": 0.96, "friction": 0.08}
 STARTING_SCATTERS = {"spin": 0.5, "r": 0.05, "friction": 0.03, "turn": 0.01, "distance": 1e-3, "cloth": 0.04}
 STARTING_SCATTERS |= {"kick": 0.01}
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line of the table. issue: what an independent analysis found; adds_to: the line that it is compared with."""
+    """A line of the table. independent_median: of another analysis; adds_to: the line that it is compared with."""
 
     name: str
     model: HitModel
     adds_to: str = ""
     near: bool = True
     warp: bool = True
-    issue: float | None = None
+    independent_median: float | None = None
 
 
 def list_lines() -> list[Line]:
@@ -77,15 +77,15 @@ def list_lines() -> list[Line]:
         Line("the striker rolls or slides up to the hit", _change(share, striker="state"), "", False, False, 43),
         Line("it slides, then rolls", share, "", False, False, 18),
         Line("noise beside the contact", share, "", True, False, 15),
-        Line("warp of the map", share, "", issue=11),
+        Line("warp of the map", share, "", independent_median=11),
         Line("Coulomb friction, no spin", HitModel(HitLaws(), base), ""),
-        Line("no spin; changes with ln(slip)", HitModel(HitLaws(), (*base, "fall")), ""),
-        Line("no spin; hop", HitModel(HitLaws(), (*base, "fall", "hop")), ""),
+        Line("no spin; changes with ln(slip)", HitModel(HitLaws(), (*base, "fall_per_ln_slip")), ""),
+        Line("no spin; hop", HitModel(HitLaws(), (*base, "fall_per_ln_slip", "hop")), ""),
         Line("a share of the slip, unseen spin", replace(share, scatters=("spin",)), "warp of the map"),
-        Line("Coulomb friction, unseen spin", HitModel(HitLaws(), base, ("spin",)), issue=8.3),
+        Line("Coulomb friction, unseen spin", HitModel(HitLaws(), base, ("spin",)), independent_median=8.3),
     ]
-    for name, shared, scatters, issue in [
-        ("friction that changes with ln(slip)", ("fall",), (), 6.2),
+    for name, shared, scatters, median in [
+        ("friction that changes with ln(slip)", ("fall_per_ln_slip",), (), 6.2),
         ("hop", ("hop",), (), 5.3),
         ("r and friction of each hit", (), ("r", "friction"), 3.9),
         ("line of centres and distance of each hit", ("distance",), ("turn", "distance"), 2.8),
@@ -94,11 +94,11 @@ def list_lines() -> list[Line]:
     ]:
         model = lines[-1].model
         model = replace(model, shared=(*model.shared, *shared), scatters=(*model.scatters, *scatters))
-        lines.append(Line(name, model, issue=issue))
+        lines.append(Line(name, model, independent_median=median))
     scattered, last = lines[-4], lines[-1]
     lines.append(Line("no law of the impact", HitModel(HitLaws(), ("cloth", "loss", "drag"), free=True)))
     for full in (scattered, last):
-        for lost, word in (("fall", "a change with ln(slip)"), ("hop", "a hop")):
+        for lost, word in (("fall_per_ln_slip", "a change with ln(slip)"), ("hop", "a hop")):
             model = replace(full.model, shared=tuple(name for name in full.model.shared if name != lost))
             end = ", all scatters" if full is last else ", scatter of r and friction"
             lines.append(Line(f"without {word}{end}", model, full.name))
@@ -127,7 +127,7 @@ class HitGap:
             whole = HitPositions.of(each)
             out.positions[warp] = whole
             fit = out._fit_free(warp, make_errors(whole), guess_numbers(whole), out.list_counted()[0])
-            out.positions[warp] = HitPositions.of(each, whole.contact + fit.own[:, 0])
+            out.positions[warp] = HitPositions.of(each, whole.contact + fit.own[:, OWN.index("t_c")])
             out._measure_noise(warp)
         return out
 
@@ -156,9 +156,7 @@ class HitGap:
         turns = SCATTER_TURNS if scatters else 15
         fits = list[HitFit]()
         for part, counted in enumerate(self.list_counted()):
-            common = (
-                fits[0].common if fits else Common(START | dict.fromkeys(("fall", "hop", "distance"), 0.0), scatters)
-            )
+            common = fits[0].common if fits else Common(START, scatters)
             starts = fits[0].own[:, None] if fits else starts
             fits.append(fit_model(hits, self.find_errors(line, part), line.model, common, starts, counted, turns=turns))
         own, cost, volume = (
@@ -205,7 +203,7 @@ def run(hits: Sequence[RecordedHit], corrected: Sequence[RecordedHit], lines: Se
         gains = 2 * (densities[line.name] - densities.get(line.adds_to, densities[line.name]))
         error = float(np.std(gains, ddof=1) * np.sqrt(len(gains)))
         out[line.name] = {
-            "issue": line.issue,
+            "independent_median": line.independent_median,
             **summarise(fit.ratio),
             "held out": summarise(held_out.ratio),
             "adds to": line.adds_to,
@@ -226,7 +224,7 @@ def summarise(ratio: Array) -> dict[str, float]:
 
 def show_line(name: str, found: dict[str, Any]) -> str:
     """A line of the table as text."""
-    text = f"{name:58}{found['issue'] or '-':>6}"
+    text = f"{name:58}{found['independent_median'] or '-':>6}"
     for one in (found, found["held out"]):
         text += f"{one['median']:8.2f}{100 * one['under 2']:5.0f} %"
     text += f"  gain {found['gain']:7.0f}, {found['sigma']:5.1f} sigma  "

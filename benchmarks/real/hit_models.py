@@ -39,8 +39,11 @@ TINY_M_S = 1e-9
 
 # t_c from the usual instant, s; position of the resting ball, m; direction of the line of centres, rad; velocity of the
 # striker just before the hit, m/s; end of its slide from the contact on, s; direction of its acceleration, rad
-OWN = ("t_c", "x", "y", "normal", "vx", "vy", "end", "pull")
-SHARED = ("cloth", "loss", "drag", "r", "friction", "fall", "hop", "distance")
+OWN = ("t_c", "x", "y", "normal", "vx", "vy", "slide_end", "acceleration_angle")
+OF_SLIDE = ("slide_end", "acceleration_angle")  # those that a striker without a slide lacks
+POSITION, VELOCITY = ([OWN.index(name) for name in names] for names in (("x", "y"), ("vx", "vy")))
+# fall_per_ln_slip: of the friction between the balls, from a slip to e times that slip
+SHARED = ("cloth", "loss", "drag", "r", "friction", "fall_per_ln_slip", "hop", "distance")
 SCATTERS = {  # the random effects that have each scatter
     "spin": 1,  # R times the spin of the striker about the vertical over its speed
     "r": 1,
@@ -74,7 +77,7 @@ class HitPositions:
         usual, rest, struck, striker = zip(*tables, strict=True)
         contact = np.array(usual) if contacts is None else contacts
         balls = [
-            [_cut_window(time - at, place) for at, (time, place) in zip(contact, each, strict=True)]
+            [_cut_window(time - at, position) for at, (time, position) in zip(contact, each, strict=True)]
             for each in (struck, striker)
         ]
         padded = (_pad(list(part)) for each in balls for part in zip(*each, strict=True))
@@ -111,13 +114,13 @@ def _read_hit(hit: RecordedHit) -> tuple[float, Array, tuple[Array, Array], tupl
     return contact, struck.position[0], moving, (striker.time, striker.position)
 
 
-def _cut_window(since: Array, place: Array) -> tuple[Array, Array]:
+def _cut_window(since: Array, position: Array) -> tuple[Array, Array]:
     """Cut out the positions of a ball near the contact, and at least LEAST_POSITIONS to either side if it has them."""
     used = np.abs(since) < WINDOW_S
     for side in (since < 0, since >= 0):
         nearest = np.flatnonzero(side)[np.argsort(np.abs(since[side]))[:LEAST_POSITIONS]]
         used[nearest] = True
-    return since[used], place[used]
+    return since[used], position[used]
 
 
 def _pad(parts: Sequence[Array]) -> Array:
@@ -147,12 +150,12 @@ class Common:
 
 @dataclass(frozen=True)
 class BallsAtContact:
-    """The same ball of n hits at the contact: position, velocity and slip (n, 2), and the cloth's friction times g."""
+    """The same ball of n hits at the contact: position, velocity and slip (n, 2), and deceleration (n,) of a slide."""
 
-    place: Array
+    position: Array
     velocity: Array
     slip: Array
-    pull: Array
+    deceleration: Array
 
 
 def predict(hits: HitPositions, own: Array, common: Common, laws: HitLaws) -> Array:
@@ -163,25 +166,25 @@ def predict(hits: HitPositions, own: Array, common: Common, laws: HitLaws) -> Ar
     values, shared = dict(zip(OWN, own.T, strict=False)), dict.fromkeys(SHARED, 0.0) | common.numbers
     effects = _scale_effects(own, common)
     cloth = shared["cloth"] * GRAVITY * np.exp(effects["cloth"])
-    place, velocity = own[:, 1:3], own[:, 4:6]
+    position = own[:, POSITION]
     along = _unit(values["normal"])
-    towards = np.column_stack([np.cos(values["pull"]), np.sin(values["pull"])])
-    slides_s = np.maximum(values["end"], 0.0)
+    towards = _unit(values["acceleration_angle"])
+    slides_s = np.maximum(values["slide_end"], 0.0)
     slip = -SLIP_RATE * (cloth[:, 0] * slides_s)[:, None] * towards
     distance = hits.diameter + shared["distance"] + effects["distance"][:, 0]
-    before = BallsAtContact(place - distance[:, None] * along, velocity, slip, cloth[:, 0])
+    before = BallsAtContact(position - distance[:, None] * along, own[:, VELOCITY], slip, cloth[:, 0])
     struck, striker = collide(before, values["normal"] + effects["turn"][:, 0], effects, shared, laws)
-    struck = replace(struck, place=place, pull=cloth[:, 1])
-    striker = replace(striker, pull=cloth[:, 2])
+    struck = replace(struck, position=position, deceleration=cloth[:, 1])
+    striker = replace(striker, deceleration=cloth[:, 2])
     if not laws.slides_after:
         struck, striker = (replace(ball, slip=np.zeros_like(ball.slip)) for ball in (struck, striker))
     late = values["t_c"][:, None]
     since = hits.striker_time - late
-    early = _go_back(before, towards, np.maximum(-since, 0.0), values["end"], shared, laws)
+    early = _go_back(before, towards, np.maximum(-since, 0.0), values["slide_end"], shared, laws)
     after = _go_on(striker, np.maximum(since, 0.0), shared)
     first = _go_on(struck, np.maximum(hits.struck_time - late, 0.0), shared)
     path = np.where((since < 0)[..., None], early, after)
-    return np.concatenate([place, first.reshape(len(own), -1), path.reshape(len(own), -1)], axis=1)
+    return np.concatenate([position, first.reshape(len(own), -1), path.reshape(len(own), -1)], axis=1)
 
 
 def _scale_effects(own: Array, common: Common) -> dict[str, Array]:
@@ -207,7 +210,7 @@ def collide(
     down = np.sum(rolling * n, axis=1)
     slip = np.maximum(np.hypot(across, down), TINY_M_S)
     rubs = shared["friction"] + effects["friction"][:, 0]
-    coulomb = np.maximum((rubs - shared["fall"] * np.log(slip / USUAL_SLIP_M_S)) * push, 0.0)
+    coulomb = np.maximum((rubs - shared["fall_per_ln_slip"] * np.log(slip / USUAL_SLIP_M_S)) * push, 0.0)
     strength = np.minimum(coulomb if laws.coulomb else 0.4 * rubs * slip, MAX_FRICTION_OF_SLIP * slip)
     drag, press = strength * across / slip, strength * down / slip
     kick = push[:, None] * n + drag[:, None] * t
@@ -217,24 +220,24 @@ def collide(
         lowest = (before.slip if ball else 0.0) + sign * kick + 2.5 * press[:, None] * n
         size = np.maximum(np.hypot(*lowest.T), TINY_M_S)[:, None]
         hop = (sign * shared["hop"] * shared["cloth"] * press)[:, None] * lowest / size
-        own = slice(2 * ball, 2 * ball + 2)
-        velocity = velocity - hop + speed[:, None] * effects["kick"][:, own]
-        lowest = lowest - SLIP_RATE * hop + speed[:, None] * effects["slip"][:, own]
-        out.append(BallsAtContact(before.place, velocity, lowest, before.pull))
+        axes = slice(2 * ball, 2 * ball + 2)
+        velocity = velocity - hop + speed[:, None] * effects["kick"][:, axes]
+        lowest = lowest - SLIP_RATE * hop + speed[:, None] * effects["slip"][:, axes]
+        out.append(replace(before, velocity=velocity, slip=lowest))
     return out[0], out[1]
 
 
 def _go_on(ball: BallsAtContact, since: Array, shared: dict[str, float]) -> Array:
     """Positions (n, k, 2) of balls that slide and then roll, at times (n, k) after the contact."""
     size = np.maximum(np.hypot(*ball.slip.T), TINY_M_S)
-    pull = -(ball.pull / size)[:, None] * ball.slip
-    slides = np.minimum(since, (size / (SLIP_RATE * ball.pull))[:, None])
+    acceleration = -(ball.deceleration / size)[:, None] * ball.slip
+    slides = np.minimum(since, (size / (SLIP_RATE * ball.deceleration))[:, None])
     end = ball.velocity - 2 / 7 * ball.slip
     speed, loss, heading = _roll(end, shared)
     rolls = np.minimum(since - slides, (speed / loss)[:, None])
     way = speed[:, None] * rolls - loss[:, None] * rolls**2 / 2
-    slid = ball.velocity[:, None] * slides[..., None] + pull[:, None] * (slides**2 / 2)[..., None]
-    return np.asarray(ball.place[:, None] + slid + way[..., None] * heading[:, None])
+    slid = ball.velocity[:, None] * slides[..., None] + acceleration[:, None] * (slides**2 / 2)[..., None]
+    return np.asarray(ball.position[:, None] + slid + way[..., None] * heading[:, None])
 
 
 def _go_back(
@@ -248,8 +251,8 @@ def _go_back(
     speed, loss, heading = _roll(ball.velocity, shared)
     faster = speed[:, None] + loss[:, None] * rolls
     way = (speed[:, None] + faster) / 2 * rolls + faster * slides
-    bend = (ball.pull[:, None] * slides**2 / 2)[..., None] * towards[:, None]
-    return np.asarray(ball.place[:, None] - way[..., None] * heading[:, None] + bend)
+    bend = (ball.deceleration[:, None] * slides**2 / 2)[..., None] * towards[:, None]
+    return np.asarray(ball.position[:, None] - way[..., None] * heading[:, None] + bend)
 
 
 def _roll(velocity: Array, shared: dict[str, float]) -> tuple[Array, Array, Array]:

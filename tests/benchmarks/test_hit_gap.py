@@ -60,7 +60,7 @@ def fit(hits, laws, shared=BASE, scatters=None, free=False):
     model = HitModel(laws, shared, tuple(scatters or ()), free)
     starts = guess_numbers(hits)
     starts = roll_throughout(starts) if laws.striker == "rolls" else starts
-    common = Common(START | dict.fromkeys(("fall", "hop", "distance"), 0.0), scatters or {})
+    common = Common(START, scatters or {})
     return fit_model(hits, make_errors(hits), model, common, starts, np.ones(HITS, dtype=bool))
 
 
