@@ -186,14 +186,14 @@ def _keep_moving(prepared: Contact, cut: Sequence[BallTrack], contact: TrackCont
     A few positions do not show how slowly a ball rolls. It rests in a crowd only if all of them since its contact
     before show that, and if they show its velocity well: those of a few frames allow half the speed of a hit.
     """
-    max_error = 0.02  # of the velocity of a ball that rests, over the kick
+    max_error = 0.02  # of the velocity of a ball that rests, over the kick; one not seen changes r by about that share
     pair = prepared.pair
     if pair.target_moves:
         return prepared
     whole = next(track for track in cut if track.particle == pair.struck.particle)
     early = whole.where(whole.time < contact.time)
-    rests_all = np.count_nonzero(pair.struck.time < contact.time) == len(early) > 1
-    if rests_all and fit_velocity(early)[2] < max_error * contact.kick:
+    rests_in_all = np.count_nonzero(pair.struck.time < contact.time) == len(early)
+    if len(early) > 1 and rests_in_all and fit_velocity(early)[2] < max_error * contact.kick:
         return prepared
     return replace(prepared, pair=replace(pair, struck=whole, target_moves=True))
 

@@ -193,7 +193,9 @@ def _split_variances(raw: Mapping[str, Any], allowances: float = 1.0) -> tuple[A
     It widens the part that velocities make without the errors of the camera. allowances: as in `LocalErrors`.
     """
     std, of_velocities = (np.array(raw[key], dtype=np.float64) for key in ("std", "velocity_std"))
-    if "known_std" in raw:  # which a descent that ended early may have too large
+    # A part may exceed the whole: a descent may end with a short step, whose derivatives it does not compute again. The
+    # covariance holds those before the step, and the known part those after it.
+    if "known_std" in raw:
         known, known_velocities = (
             np.minimum(np.array(raw[key], dtype=np.float64), most)
             for key, most in (("known_std", std), ("known_velocity_std", of_velocities))
