@@ -40,6 +40,8 @@ MAX_COST = 16.0  # beyond that of the best duration of a slide
 MAX_RESIDUAL_CLAIMED = 2.0  # rms of the residuals of a window, over claimed errors
 MAX_RESIDUAL_SCATTER = 3.0  # over errors by the scatter from frame to frame
 MAX_EVIDENCE_LOST = 7.0  # logarithm of evidence under the best, with which motions still count
+MAX_OPEN_ERROR = 1.0  # of the logarithm of a duration above the stretch that a slip shows
+OPEN_SIGMAS = 1.5  # with which the prior of all durations above the stretch is nearly even
 ROUGH_GAIN = 0.01  # of the cost, with which a descent ends whose solution is solved again
 
 
@@ -586,17 +588,18 @@ def _find_share_of_slides(solution: LocalSolution, k: int, last: float) -> float
 
 
 def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_on: bool) -> list[SlideDuration]:
-    """List durations of one slide: two below the first position, cells, and one above the stretch.
+    """List durations of one slide: two below the first position, cells, and one or two above the stretch.
 
     The cells divide only the durations with which the stretch alone fits hardly worse than with the best. Wider cells
     could change the velocity by many errors from one to the next. The prior of their logarithms is even where the slip
-    is known, because that tells which of them are likely. Then the one above the stretch may be any.
+    is known, because that tells which of them are likely. Then there is one more above the stretch, which has no upper
+    end. Its normal density begins `OPEN_SIGMAS` below its middle, where the cell before it ends: cells inside the
+    stretch would count twice if much of it lay there.
 
     Before a contact the durations are those of the roll. Unless the end of the slide is known, their prior is uniform
     over the stretch, because a hit comes at any time after the slide. may_slide_on: the slide may also last up to the
     contact, which is the first cell, with the probability of `_find_share_of_slides`.
     """
-    open_error = 1.0  # of the logarithm of a duration above the stretch that a slip shows, far larger than its own
     priors, stretch = solution.problem.priors, solution.problem.stretches[k]
     since = np.abs(stretch.time - solution.x[0])
     first = max(float(since.min()), 1e-5)
@@ -617,6 +620,7 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
     ends = np.concatenate([[1e-3 * first, first / 3, first], np.linspace(low, high, durations + 1), [last, 2 * last]])
     end, slips = solution.problem.find_end(k), priors.slips if k in solution.problem.slips else None
     if slips is not None:
+        ends = np.append(ends, 8 * last)
         below = np.log(ends)
     elif stretch.after:
         below = ndtr((np.log(np.append(ends[:-1], np.inf)) - np.log(priors.slide_s)) / priors.slide_factor)
@@ -633,8 +637,9 @@ def _list_durations(solution: LocalSolution, k: int, durations: int, may_slide_o
         middles, widths = _narrow_cells(ends, middles, widths, end)
     log_priors = np.log(np.maximum(np.diff(below), 1e-12))
     if slips is not None:  # the last one has no upper end: friction and slip depend on how long the slide lasts
-        middles[-1] = max(middles[-1], slips.find_duration(stretch.ball, float(np.exp(solution.x[5]))))
-        widths[-1], log_priors[-1] = open_error * middles[-1], np.log(np.sqrt(2 * np.pi) * open_error)
+        middles[-1] = max(4 * last, slips.find_duration(stretch.ball, float(np.exp(solution.x[5]))))
+        error = min(float(np.log(middles[-1] / (2 * last))) / OPEN_SIGMAS, MAX_OPEN_ERROR)
+        widths[-1], log_priors[-1] = error * middles[-1], np.log(np.sqrt(2 * np.pi) * error)
     enough = np.any(fits(np.concatenate([ends[:-1], middles, ends[1:]])).reshape(3, -1), axis=0)
     cells = zip(middles.tolist(), (widths / middles).tolist(), log_priors.tolist(), strict=True)
     return [SlideDuration(*cell) for cell, known in zip(cells, enough & (widths > 0), strict=True) if known]

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from tracker.measurement.local import local_fit
 from tracker.measurement.local.descents import run_alone, solve_descents
@@ -249,7 +250,7 @@ def test_evidence_of_known_slips_does_not_depend_on_whether_the_end_of_a_slide_s
     assert np.logaddexp.reduce(apart) == pytest.approx(one.log_evidence, abs=0.4)
 
 
-def test_slides_that_outlast_the_stretches_by_far_leave_friction_and_velocities_right():
+def test_slides_that_outlast_the_stretches_by_far_leave_friction_and_velocities_right(monkeypatch):
     """They last for nine and five stretches, as their slips say. Two stretches at most raised the friction to 0.8."""
     before, time, diameter, decel, share = np.arange(-20, 0) * 25e-5, np.arange(1, 9) * 25e-5, 0.003, 2.4, 0.25
     speed = 0.12
@@ -270,6 +271,12 @@ def test_slides_that_outlast_the_stretches_by_far_leave_friction_and_velocities_
     assert np.exp(np.dot(weights, [one.x[5] for one in parts])) == pytest.approx(decel / 9.81, rel=0.1)
     after = [[_velocity(one, one.x[None], ball, True)[0, 0] for ball in (1, 2)] for one in parts]
     assert np.dot(weights, after) == pytest.approx([0.95 * speed, 0.05 * speed], abs=2e-4)
+    evidence = list[float]()
+    for most in (0.7, 1.0, 1.4):
+        monkeypatch.setattr(local_fit, "MAX_OPEN_ERROR", most)
+        each = run_alone(local_fit._vary_each_slide([(0.0, found[0])], 2, 6, may_slide_on=False))
+        evidence.append(np.logaddexp.reduce([local_fit._log_weight(part) for part in each]))
+    assert evidence == pytest.approx([evidence[1]] * 3, abs=0.3)
 
 
 def test_a_duration_of_a_slide_starts_next_to_that_of_the_free_fit():
@@ -308,6 +315,34 @@ def test_a_roll_before_a_hit_may_have_begun_at_any_time(after, may_slide_on):
         assert shares[0] == pytest.approx(slides_on, abs=1e-3)
     density = [np.exp(c.log_prior) / (c.error * c.lasts * np.sqrt(12)) for c in cells[begins:] if c.lasts < 0.08]
     assert density == pytest.approx([(1 - slides_on * begins) / 0.08] * len(density), rel=0.05)
+
+
+def list_open_durations(share):
+    """List durations above a stretch of 80 ms, of a slide that lasts for `share` of it by its slip."""
+    last, slips = 0.08, np.array([[0.5, 0.0], [0.5, 0.0]])
+    time = np.arange(1, 21) * last / 20
+    known = KnownSlips(slips, np.zeros((2, 2)), (0.0, 0.0), np.array([1.0, 0.0]), 0.0, 0.02, 0.02)
+    moves = [make_stretch(np.outer(time, [0.4, 0.1]), time, ball=ball, size=0.0) for ball in (1, 2)]
+    problem = LocalProblem(tuple(moves), (SLIDE_AND_ROLL, SLIDE_AND_ROLL), LocalPriors(0.06, slips=known), False)
+    assert problem.slips == (0, 1)
+    x = np.zeros(problem.size)
+    x[5] = np.log(2 * 0.5 / (7 * share * last * 9.81))
+    free = SimpleNamespace(problem=problem, x=x, sizes=(1.0, 1.0))
+    return [cell for cell in local_fit._list_durations(free, 0, 6, False) if cell.lasts > last], last
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0, 2.0, 4.0, 9.0, 100.0])
+def test_a_slide_that_a_slip_shows_hardly_lasts_twice(share):
+    """The prior of durations above a stretch leaves those within it to others, and is even around the known one."""
+    cells, last = list_open_durations(share)
+    lies = [np.exp(c.log_prior) * ndtr((np.log(last) - np.log(c.lasts)) / c.error) for c in cells]
+    assert sum(lies) < 0.05
+    tried = np.log(last * np.geomspace(max(1.3, share / 2), max(4.0, 1.5 * share), 50))
+    even = sum(
+        np.exp(c.log_prior - ((tried - np.log(c.lasts)) / c.error) ** 2 / 2) / (c.error * np.sqrt(2 * np.pi))
+        for c in cells
+    )
+    assert np.abs(np.log(even)).max() < 0.5, np.log(even).round(2).tolist()
 
 
 def test_a_duration_that_is_known_lies_where_draws_of_it_lie_in_each_cell():
