@@ -461,8 +461,8 @@ def _describe_fit(found: SearchOutcome, converged: float = 0.1) -> str:
     return (
         f"The search fitted {len(data.clips)} {data.unit} together, at {min(speeds):.2f} to {max(speeds):.2f} m/s"
         f"{oblique}. They share {shared}; each has {numbers} launch parameters; the fit {state}. "
-        f"{len(data.held_out)} more {data.unit} were held out. The noise is {noise.scale:.2f} times the standard "
-        f"errors of the positions, with a correlation of {noise.correlation:+.2f} between frames{common}."
+        f"{len(data.held_out)} more {data.unit} were held out. The noise is {noise.scale:.3g} times the errors with "
+        f"which the search began, with a correlation of {noise.correlation:+.2f} between frames{common}."
     )
 
 
