@@ -238,29 +238,8 @@ def fit_motions(
             continue
         for motions in list_motions(stretches, rests, support, before):
             problem = LocalProblem(tuple(stretches), motions, priors, support != "cloth")
-            x = np.zeros(problem.size)
-            x[0], x[5], x[6], x[7] = contact, np.log(priors.friction), priors.loss, priors.fall
-            places: dict[int, list[Array]] = {1: [], 2: []}
-            for k, (s, motion) in enumerate(zip(stretches, motions, strict=True)):
-                own = fit_single_stretch(s, contact, motion, priors.fall).values.copy()
-                if problem.slides_first(k):
-                    own[2:4] += own[4:6] * min(float(np.exp(own[6])), problem.spans[k])
-                if problem.rubs(k):
-                    own[4:6] = 0.0, np.arctan2(own[5], own[4])
-                end = problem.find_end(k)
-                if priors.slips is not None and k in problem.slips:
-                    lasts = priors.slips.find_duration(s.ball, priors.friction)
-                    own[5], own[6] = np.arctan2(*-priors.slips.slips[s.ball - 1, ::-1]), np.log(lasts)
-                if end is not None:
-                    own[:4] = fit_single_stretch(s, contact, ROLL, priors.fall).values[:4]
-                    own[5], own[6] = end.towards, np.log(max(end.rolls, 0.1 * problem.spans[k]))
-                x[problem.start[k] : problem.start[k + 1]] = own
-                places[s.ball].append(own[:2])
-            for ball, own_places in places.items():
-                x[2 * ball - 1 : 2 * ball + 1] = np.mean(own_places, axis=0)
-            for k in range(len(stretches)):
-                x[problem.start[k] : problem.start[k] + 2] -= x[problem.place(k)]
-            [[first]] = yield [Descent([problem], x[None], [1.0] * len(stretches), least_gain=ROUGH_GAIN)]
+            start = _start_from_single_fits(problem, contact)[None]
+            [[first]] = yield [Descent([problem], start, [1.0] * len(stretches), least_gain=ROUGH_GAIN)]
             found.append((yield from _try_other_starts(first)))
             slid = any(motion.pushed for motion, s in zip(motions, stretches, strict=True) if not s.after)
             if found[-1].is_good and (known or slid) and _suffices(found[-1], before, slides_seen):
@@ -268,6 +247,32 @@ def fit_motions(
     found = [one for one in found if one.is_good] or found
     noise = max(min(s.chi2 / s.dof for s in found), 1.0 if known else 1e-12)  # of positions, not of what is known
     return sorted(found, key=lambda s: (s.cost - s.cost_of_known) * (1 / noise - 1) + s.cost_with_price)
+
+
+def _start_from_single_fits(problem: LocalProblem, contact: float) -> Array:
+    """Start all parameters (n,) from fits of the single stretches, and from what is known of their slides."""
+    priors, x = problem.priors, np.zeros(problem.size)
+    x[0], x[5], x[6], x[7] = contact, np.log(priors.friction), priors.loss, priors.fall
+    positions: dict[int, list[Array]] = {1: [], 2: []}
+    for k, (s, motion) in enumerate(zip(problem.stretches, problem.motions, strict=True)):
+        own = fit_single_stretch(s, contact, motion, priors.fall).values.copy()
+        if problem.slides_first(k):
+            own[2:4] += own[4:6] * min(float(np.exp(own[6])), problem.spans[k])
+        if problem.rubs(k):
+            own[4:6] = 0.0, np.arctan2(own[5], own[4])
+        if priors.slips is not None and k in problem.slips:
+            lasts = priors.slips.find_duration(s.ball, priors.friction)
+            own[5], own[6] = np.arctan2(*-priors.slips.slips[s.ball - 1, ::-1]), np.log(lasts)
+        if (end := problem.find_end(k)) is not None:
+            own[:4] = fit_single_stretch(s, contact, ROLL, priors.fall).values[:4]
+            own[5], own[6] = end.towards, np.log(max(end.rolls, 0.1 * problem.spans[k]))
+        x[problem.start[k] : problem.start[k + 1]] = own
+        positions[s.ball].append(own[:2])
+    for ball, own_positions in positions.items():
+        x[2 * ball - 1 : 2 * ball + 1] = np.mean(own_positions, axis=0)
+    for k in range(len(problem.stretches)):
+        x[problem.start[k] : problem.start[k] + 2] -= x[problem.place(k)]
+    return x
 
 
 def _suffices(solution: LocalSolution, before: Sequence[Sequence[MotionKind]], slides_seen: bool) -> bool:
