@@ -7,13 +7,13 @@ from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import bdtrc, ndtr
 
 from synthcam_shared.arrays import Array
 from synthcam_shared.steps import report_step
 from tracker.camera.camera import Camera
 from tracker.camera.camera_json import BODIES
-from tracker.measurement.collision.adequacy import GLIDE, ROLL, describe_failure, find_gliding_hits
+from tracker.measurement.collision.adequacy import describe_failure
 from tracker.measurement.collision.collision_model import GRAVITY
 from tracker.measurement.collision.contacts import Contact, ContactCandidate, fit_velocity, prepare_contact
 from tracker.measurement.crowd.track_contacts import TrackContact
@@ -93,10 +93,14 @@ def shows_gliding(
     settings: FitSettings,
     *,
     most: int = 30,
+    disturbed: float = 0.1,
+    chance: float = 0.03,
 ) -> bool:
     """Decide whether the bodies of a crowd glide, by the contacts after which a slide would be seen best.
 
     Only contacts after which a slide would end count. A slide between contacts that follow fast looks like any push.
+    Other balls disturb some paths of balls that roll, so that only gliding describes them: at most `disturbed` of these
+    contacts. The bodies glide if so many contacts would show it with a probability below `chance` otherwise.
 
     found: contacts of the film as of bodies that slide. camera: does not say what carries the bodies. most: contacts
     that are asked.
@@ -107,7 +111,8 @@ def shows_gliding(
     asked = [k for k in sorted_ if _would_end_slide(pairs[k], found, settings, ends)][:most]
     fits = run_together([_estimate_in_steps(pairs[k], found, tracks, camera, settings) for k in asked])
     estimates = [each for _, each in fits if isinstance(each, LocalEstimate)]
-    return bool(find_gliding_hits([{"motion_local": GLIDE if each.glides else ROLL} for each in estimates]))
+    gliding = sum(each.glides for each in estimates)
+    return gliding > 0 and bool(bdtrc(gliding - 1, len(estimates), disturbed) < chance)
 
 
 def _sort_by_slide(pairs: Sequence[TrackContact], found: Sequence[TrackContact], settings: FitSettings) -> list[int]:

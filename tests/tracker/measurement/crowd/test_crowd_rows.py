@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tracker.measurement.collision.contacts import ContactCandidate, prepare_contact
+from tracker.measurement.crowd import crowd_rows
 from tracker.measurement.crowd.crowd_rows import MU_K, _keep_moving, _share_friction
 from tracker.measurement.crowd.track_contacts import TrackContact
 from tracker.measurement.local.local_columns import LocalErrors, apply_errors, make_local_columns
@@ -76,3 +77,17 @@ def test_allowances_reduce_no_error_by_more_than_their_share():
     common = (0.1, 10.0, 10.0, 0.5, False, frozenset[str](), True)
     row = make_local_columns(LocalEstimate(np.full(n, 0.9), cov, response, *common, cov_of_known=of_known))
     assert apply_errors(row, LocalErrors(allowances=0.5))["r_local_std"] == pytest.approx(0.02, rel=1e-6)
+
+
+@pytest.mark.parametrize(("gliding", "of", "glides"), [(3, 9, False), (4, 12, True), (1, 1, False), (0, 20, False)])
+def test_a_few_disturbed_contacts_of_balls_that_roll_do_not_make_them_glide(monkeypatch, gliding, of, glides):
+    """One contact in ten may be disturbed: three of nine then have a probability of 5 %, and four of twelve 2.6 %."""
+    empty = np.zeros(len(LOCAL_NAMES))
+    numbers = (empty, np.diag(empty), np.zeros((len(empty), 9)), 1.0, 1.0, 1.0, 1.0)
+    shown = [LocalEstimate(*numbers, k < gliding, frozenset(), True) for k in range(of)]
+    nothing, none = np.zeros(2), np.zeros((2, 2))
+    contact = TrackContact(CONTACT / FPS, 1e-5, 0, 1, nothing, nothing, 0.09, 1e-3, 99, 1, none, (0.3, 0.1), 0.1)
+    monkeypatch.setattr(crowd_rows, "_would_end_slide", lambda *given: True)
+    monkeypatch.setattr(crowd_rows, "_sort_by_slide", lambda pairs, *given: list(range(len(pairs))))
+    monkeypatch.setattr(crowd_rows, "run_together", lambda fits: [(None, each) for each in shown])
+    assert crowd_rows.shows_gliding([contact] * of, [], None, FitSettings()) == glides
