@@ -1,7 +1,8 @@
-"""Functions that benchmarks share: run commands of the project, and save figures."""
+"""Functions that benchmarks share: run commands of the project, read arguments, and save figures."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import subprocess
@@ -40,6 +41,12 @@ def run(*command: str | Path, quiet: bool = False, alone: bool = False) -> str:
     if done.returncode:
         sys.exit(f"{Path(sys.argv[0]).stem}: {' '.join(words)} ended with status {done.returncode}")
     return done.stdout
+
+
+def add_clones(parser: argparse.ArgumentParser) -> None:
+    """Add the paths to clones of the recordings of others, by default those of the variable CLONES."""
+    default = [Path(p) for p in os.environ.get("CLONES", "").split()]
+    parser.add_argument("clones", nargs="*", type=Path, default=default)
 
 
 def save(path: Path, figures: Any) -> None:

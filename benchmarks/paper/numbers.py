@@ -106,9 +106,9 @@ def _impact(results: Results) -> Iterator[Line]:
             "",
             _within(float(r.mean()), "r, differences"),
         )
-    error, shaken = add_error_for_scatter(results, R_SCATTER)
+    worse, shaken = add_error_for_scatter(results, R_SCATTER)
     yield Line(
-        f"the same at {WINDOW}, positions worse by {error * 1e6:.0f} µm",
+        f"the same at {WINDOW}, positions worse by {worse * 1e6:.0f} µm",
         "0.85 ± 0.11",
         "0.903",
         f"{shaken.mean():.3f} ± {shaken.std(ddof=1):.3f}",
@@ -119,35 +119,24 @@ def _impact(results: Results) -> Iterator[Line]:
         f"share of such sets of {len(table)} in which r rises with v0 by 2 errors or more",
         "no obvious dependence",
         "",
-        f"{100 * share_with_trend(results, error):.0f} %",
+        f"{100 * share_with_trend(results, worse):.0f} %",
         "",
         "the larger, the less the statement fits",
     )
-    fitted, truth = results.fitted, PUBLISHED
-    yield Line(
-        "r by the fit",
-        "0.903 ± 0.008",
-        f"{truth.r}",
-        with_error(fitted.laws.r, fitted.errors.r),
-        with_error(joint["r"], joint["r_std"], 5),
-        _within(fitted.laws.r, "r, fit"),
-    )
-    yield Line(
-        "C by the fit",
-        "0.347 ± 0.008",
-        f"{truth.C}",
-        with_error(fitted.laws.C, fitted.errors.C),
-        with_error(joint["C"], joint["C_std"], 5),
-        _within(fitted.laws.C, "C, fit"),
-    )
-    yield Line(
-        "μ_k by the fit",
-        "0.232 ± 0.023",
-        f"{truth.mu}",
-        with_error(fitted.laws.mu, fitted.errors.mu),
-        with_error(joint["mu_k"], joint["mu_k_std"], 5),
-        _within(fitted.laws.mu, "mu_k, fit"),
-    )
+    laws, errors, truth = results.fitted.laws, results.fitted.errors, PUBLISHED
+    for symbol, name, paper, value, error, true in (
+        ("r", "r", "0.903 ± 0.008", laws.r, errors.r, truth.r),
+        ("C", "C", "0.347 ± 0.008", laws.C, errors.C, truth.C),
+        ("μ_k", "mu_k", "0.232 ± 0.023", laws.mu, errors.mu, truth.mu),
+    ):
+        yield Line(
+            f"{symbol} by the fit",
+            paper,
+            f"{true}",
+            with_error(value, error),
+            with_error(joint[name], joint[f"{name}_std"], 5),
+            _within(value, f"{name}, fit"),
+        )
 
 
 def _slides(results: Results) -> Iterator[Line]:

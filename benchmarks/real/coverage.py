@@ -26,8 +26,8 @@ from benchmarks.harness import save
 from benchmarks.real.contact_power import TRUTHS, measure_set
 from benchmarks.real.hits import measure_hit
 from benchmarks.real.recordings import read_billiards
-from benchmarks.real.simulated_hits import draw_waves, read_design, simulate_hit
-from benchmarks.tracker.local_estimates import cover
+from benchmarks.real.simulated_hits import draw_hits, read_design
+from benchmarks.tracker.local_estimates import cover, show_cover
 from tracker.measurement.local.local_columns import calibrate_set
 
 LAWS = ("Coulomb", "Coulomb, hop")
@@ -48,22 +48,16 @@ def main() -> None:
     for law in LAWS:
         alone, of_sets = list[dict[str, Any]](), list[dict[str, Any]]()
         for draw in range(given.seed, given.seed + given.draws):
-            waves = draw_waves(np.random.default_rng(draw))
-            drawn = [
-                simulate_hit(one, TRUTHS[law], np.random.default_rng([draw, k]), waves) for k, one in enumerate(designs)
-            ]
             measured = [
                 measure_hit(one.hit, "cloth") | {f"{name}_true": value for name, value in one.find_truth().items()}
-                for one in drawn
+                for one in draw_hits(designs, TRUTHS[law], draw)
             ]
             alone += measured
             of_sets += calibrate_set(measured)
             print(f"{law}, set {draw}: measured", flush=True)
         out[law] = {"alone": cover(alone), "sets": cover(of_sets)}
         for kind, table in out[law].items():
-            print(f"{law}, {kind}: number, rms z, within 1 and 1.96 errors, median error")
-            for name, line in table.items():
-                print(f"  {name:16}{line}", flush=True)
+            show_cover(f"{law}, {kind}", table)
     save(given.output, out)
 
 

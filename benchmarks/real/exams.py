@@ -32,8 +32,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.harness import save
-from benchmarks.real.hits import READERS, measure_hit, summarise
+from benchmarks.harness import add_clones, save
+from benchmarks.real.hits import READERS, find_laboratory, measure_hit, summarise
 from benchmarks.real.recordings import PUCK_HZ, RecordedHit, read_puck_angles
 from synthcam_shared.report.numbers import format_with_error
 from tracker.measurement.camera_errors import remove_shared, shared_effects
@@ -182,9 +182,7 @@ def measure_spin_change(angle: Floats, contact_s: float, window_s: float = 0.1, 
 
 def examine(clone: Path) -> list[Exam]:
     """Measure the hits of a clone, and compare them with what is known."""
-    name = next((name for name in READERS if name in str(clone)), None)
-    if name is None:
-        raise SystemExit(f"{clone}: expected a clone of {', '.join(READERS)}")
+    name = find_laboratory(clone)
     support, read = READERS[name]
     hits = read(clone)
     given = MeasuredHits(clone, hits, calibrate_set([measure_hit(hit, support) for hit in hits]))
@@ -196,7 +194,7 @@ def examine(clone: Path) -> list[Exam]:
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("clones", nargs="*", type=Path, default=[Path(p) for p in os.environ.get("CLONES", "").split()])
+    add_clones(parser)
     parser.add_argument("-o", "--output", type=Path, default=Path("out/exams.json"))
     given = parser.parse_args()
     if not given.clones:

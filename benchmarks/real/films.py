@@ -14,7 +14,6 @@ frames that repeat the one before, and discs of a plot whose pictures touch.
 from __future__ import annotations
 
 import argparse
-import os
 import re
 import resource
 import subprocess
@@ -35,7 +34,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.ndimage import binary_closing, find_objects, label, maximum_filter1d
 from scipy.optimize import linear_sum_assignment
 
-from benchmarks.harness import program, save
+from benchmarks.harness import add_clones, program, save
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -251,7 +250,7 @@ def measure(film: MarkedFilm, clone: Path) -> dict[str, Any]:
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("clones", nargs="*", type=Path, default=[Path(p) for p in os.environ.get("CLONES", "").split()])
+    add_clones(parser)
     parser.add_argument("--only", default="", help="films whose name contains this word")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/real_films.json"))
     given = parser.parse_args()

@@ -32,7 +32,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from benchmarks.harness import ROOT, save
+from benchmarks.harness import ROOT, add_clones, save
 from benchmarks.real.hit_fits import (
     HitFit,
     HitModel,
@@ -235,7 +235,7 @@ def show_line(name: str, found: dict[str, Any]) -> str:
 def main() -> None:
     """Read the hits, correct the map, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("clones", nargs="*", type=Path, default=[Path(p) for p in os.environ.get("CLONES", "").split()])
+    add_clones(parser)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out/hit_gap.json")
     given = parser.parse_args()
     clone = next((one for one in given.clones if "3cushiontool" in str(one)), None)

@@ -34,7 +34,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 import tracker
-from benchmarks.harness import save
+from benchmarks.harness import add_clones, save
 from benchmarks.real.recordings import RecordedHit, read_balls, read_billiards, read_discs, read_pucks
 from synthcam_shared.errors import InputError
 from tracker.calibration.camera_warp import VALIDATION_FOLDS, fit_camera_warp
@@ -55,6 +55,14 @@ READERS: dict[str, tuple[str, Callable[[Path], list[RecordedHit]]]] = {
     "TIF083-Expfys1A": ("air", read_pucks),
     "TIF083A": ("air", read_discs),
 }
+
+
+def find_laboratory(clone: Path) -> str:
+    """Find the name in `READERS` of a clone, by its path; ends the benchmark if it has none."""
+    name = next((name for name in READERS if name in str(clone)), None)
+    if name is None:
+        raise SystemExit(f"{clone}: expected a clone of {', '.join(READERS)}")
+    return name
 
 
 def measure_hit(hit: RecordedHit, support: str, tied: bool = False) -> dict[str, Any]:
@@ -139,9 +147,7 @@ def run(clones: Sequence[Path], tied: bool, warp: bool = False) -> dict[str, Any
     """Measure the hits of all clones."""
     out: dict[str, Any] = {}
     for clone in clones:
-        name = next((name for name in READERS if name in str(clone)), None)
-        if name is None:
-            raise SystemExit(f"{clone}: expected a clone of {', '.join(READERS)}")
+        name = find_laboratory(clone)
         support, read = READERS[name]
         hits = correct_map(read(clone)) if warp else read(clone)
         rows = [measure_hit(hit, support, tied) for hit in hits]
@@ -167,7 +173,7 @@ def run(clones: Sequence[Path], tied: bool, warp: bool = False) -> dict[str, Any
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("clones", nargs="*", type=Path, default=[Path(p) for p in os.environ.get("CLONES", "").split()])
+    add_clones(parser)
     parser.add_argument("--tied", action="store_true")
     parser.add_argument("--warp", action="store_true")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/real_hits.json"))

@@ -28,8 +28,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from benchmarks.harness import save
-from benchmarks.real.hits import READERS, measure_hit
+from benchmarks.harness import add_clones, save
+from benchmarks.real.hits import READERS, find_laboratory, measure_hit
 from benchmarks.real.recordings import RecordedHit
 from discrepancy.data.contacts import Contacts
 from discrepancy.select.contact_effects import ContactClaim, select_contact_laws
@@ -122,15 +122,14 @@ def find_recoil(contacts: Contacts) -> ContactClaim:
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("clones", nargs="*", type=Path, default=[Path(p) for p in os.environ.get("CLONES", "").split()])
+    add_clones(parser)
     parser.add_argument("-o", "--output", type=Path, default=Path("out/masses.json"))
     given = parser.parse_args()
-    names = {clone: next((name for name in READERS if name in str(clone)), None) for clone in given.clones}
-    if not names or None in names.values():
+    names = {clone: find_laboratory(clone) for clone in given.clones}
+    if not names:
         raise SystemExit(f"expected paths to clones of {', '.join(READERS)}")
     lines = []
     for clone, name in names.items():
-        assert name is not None
         for one in make_sets(name, READERS[name][1](clone)):
             for line in try_masses(one):
                 lines.append(line)

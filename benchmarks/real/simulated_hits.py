@@ -7,7 +7,7 @@ same hit by other laws of the contact, with the scatter that `docs/real_tracks.m
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -139,6 +139,12 @@ def simulate_hit(design: HitDesign, truth: ContactTruth, rng: np.random.Generato
         after=just_after[:, 3:5],
         normal=(striker - target)[0, :2] / (2 * radius),
     )
+
+
+def draw_hits(designs: Sequence[HitDesign], truth: ContactTruth, draw: int) -> list[SimulatedHit]:
+    """Simulate the hits of a set, which share the map of the camera; draw: its number, the seed."""
+    waves = draw_waves(np.random.default_rng(draw))
+    return [simulate_hit(one, truth, np.random.default_rng([draw, k]), waves) for k, one in enumerate(designs)]
 
 
 def draw_waves(rng: np.random.Generator) -> Array:

@@ -92,54 +92,24 @@ def video(folder: Path, seed: int, shift: float, scene: str = SCENE, name: str =
 
 def tracks(folder: Path, seed: int, off: float, scale: float) -> Figures:
     """Every quantity of the tied and the free fit, from true centres with noise."""
-    truth = folder / "motion"
-    run(
-        "synthcam",
-        "generate",
-        SCENE,
-        "-o",
-        str(truth),
-        "--clips",
-        str(TRACKS),
-        "--seed",
-        str(seed),
-        "--no-video",
-        quiet=True,
-    )
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
-    tables = []
-    for number in range(TRACKS):
-        table = pd.read_parquet(truth / f"clips/{number:06d}/truth/tracks.parquet").query("visible")
-        noisy = table[["x_mean_px", "y_mean_px"]] + NOISE_PX * rng.standard_normal((len(table), 2))
-        tables.append(
-            pd.DataFrame({"clip": number, "frame": table["frame"], "particle": table["particle"]}).assign(
-                x=noisy["x_mean_px"], y=noisy["y_mean_px"], x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0
-            )
-        )
-    pd.concat(tables).to_parquet(folder / "tracks.parquet")
+    truth, measured = folder / "motion", folder / "measured"
+    size = ("--clips", str(TRACKS), "--seed", str(seed))
+    run("synthcam", "generate", SCENE, "-o", str(truth), *size, "--no-video", quiet=True)
+    add_noise(truth, seed).to_parquet(folder / "tracks.parquet")
     camera = truth / "clips/000000/camera.json"
-    run(
-        "tracker",
-        "measure",
-        str(folder / "tracks.parquet"),
-        "--camera",
-        str(camera),
-        "-o",
-        str(folder / "measured"),
-        quiet=True,
-    )
+    run("tracker", "measure", folder / "tracks.parquet", "--camera", camera, "-o", measured, quiet=True)
+    names = [q + suffix for q in QUANTITIES for suffix in ("", "_free")]
+    path = measured / "estimates.parquet"
+    claims = pd.read_parquet(path)
     if off:
-        path = folder / "measured" / "estimates.parquet"
-        table = pd.read_parquet(path)
-        names = [q + suffix for q in QUANTITIES for suffix in ("", "_free")]
-        table.assign(**{q: table[q] + off * table[f"{q}_std"] for q in names}).to_parquet(path)
-    claims = pd.read_parquet(folder / "measured" / "estimates.parquet")
+        claims = claims.assign(**{q: claims[q] + off * claims[f"{q}_std"] for q in names})
     if scale != 1:
         claims = scaled(claims, scale)
-        claims.to_parquet(folder / "measured" / "estimates.parquet")
-    found = scored(folder / "measured", truth, folder / "motion_score")["quantities"]
+    if off or scale != 1:
+        claims.to_parquet(path)
+    found = scored(measured, truth, folder / "motion_score")["quantities"]
     figures = spreads(claims, pd.read_parquet(truth / "truth" / "clips.parquet"))
-    for name in (q + suffix for q in QUANTITIES for suffix in ("", "_free")):
+    for name in names:
         row = found[name]
         if row["n"] < TRACKS / 10:
             continue
@@ -150,6 +120,21 @@ def tracks(folder: Path, seed: int, off: float, scale: float) -> Figures:
             figures[f"{name}.std"] = float(np.median(claimed))
             figures[f"{name}.std_error"] = error_of_median(claimed)
     return figures
+
+
+def add_noise(truth: Path, seed: int) -> pd.DataFrame:
+    """The true centres of all clips with noise, as a table of tracks."""
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
+    tables = []
+    for number in range(TRACKS):
+        table = pd.read_parquet(truth / f"clips/{number:06d}/truth/tracks.parquet").query("visible")
+        noisy = table[["x_mean_px", "y_mean_px"]] + NOISE_PX * rng.standard_normal((len(table), 2))
+        tables.append(
+            pd.DataFrame({"clip": number, "frame": table["frame"], "particle": table["particle"]}).assign(
+                x=noisy["x_mean_px"], y=noisy["y_mean_px"], x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0
+            )
+        )
+    return pd.concat(tables)
 
 
 def error_of_median(values: Floats) -> float:

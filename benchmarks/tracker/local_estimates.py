@@ -34,7 +34,7 @@ import argparse
 import importlib
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -225,6 +225,13 @@ def cover(rows: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
     return out
 
 
+def show_cover(title: str, table: Mapping[str, list[float]]) -> None:
+    """Print what `cover` returns."""
+    print(f"{title}: number, rms z, within 1 and 1.96 errors, median error")
+    for name, line in table.items():
+        print(f"  {name:16}{line}", flush=True)
+
+
 def measure_bias(rows: Sequence[dict[str, Any]], mirrored: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
     """For each quantity: number of hits, and the mean of both deviations over the mean error, with its error."""
     out = {}
@@ -256,9 +263,7 @@ def main() -> None:
         bare = [row | apply_errors(row, LocalErrors()) for row in rows]
         out[kind] = {"residuals": cover(bare), "prior": cover(rows), "set": cover(calibrate_set(rows))}
         for errors, table in out[kind].items():
-            print(f"{kind}, {errors}: number, rms z, within 1 and 1.96 errors, median error")
-            for name, line in table.items():
-                print(f"  {name:16}{line}", flush=True)
+            show_cover(f"{kind}, {errors}", table)
         if given.mirrored:
             other = measure_kind(kind, given.hits, given.seed, given.warp, given.claimed, -1.0, given.nearest)
             out[kind]["bias"] = measure_bias(bare, [row | apply_errors(row, LocalErrors()) for row in other])
