@@ -51,6 +51,8 @@ from synthcam.model import Bodies, Model
 from synthcam_shared.arrays import Array
 
 PLATE = Table()
+MAX_TIME_S = 1e4  # beyond it the last bit of a time is too coarse for an event
+MAX_PAIR_TIME_S = 60.0  # of balls that push each other, which are integrated in small steps
 
 
 def solve(
@@ -61,9 +63,6 @@ def solve(
     finish_slides: bool = True,
     table: Table = PLATE,
     max_events: int = 10_000_000,
-    *,
-    max_time: float = 1e4,
-    max_pair_time: float = 60.0,
 ) -> Trajectory:
     """Solve the motion of a launch from `start` to `end`, s; with `finish_slides` beyond, until the last slide has
     ended.
@@ -79,20 +78,17 @@ def solve(
     conserved, and a row of equal balls passes on an impact as Newton's cradle does.
 
     Raises ValueError if balls overlap, if a ball that should be at rest cannot stay there, or if a slide or the motion
-    never ends. It also does beyond speeds of MAX_SPEED_M_S, and beyond two times:
-
-    - `max_time`, s, because beyond 1e4 s the last bit of a time is too coarse for an event;
-    - `max_pair_time`, s, of balls that push each other, which are integrated in small steps.
+    never ends. It also does beyond MAX_SPEED_M_S, MAX_TIME_S, and MAX_PAIR_TIME_S for balls that push each other.
     """
     for what, t in (("its launch", launch.time), ("its start", start), ("its end", end)):
-        if not abs(t) <= max_time:
-            raise ValueError(f"{what} is at {t:g} s: a motion is solved within {max_time:g} s of 0")
+        if not abs(t) <= MAX_TIME_S:
+            raise ValueError(f"{what} is at {t:g} s: a motion is solved within {MAX_TIME_S:g} s of 0")
     if model.laws.needs("push", "other"):
         lasts = max(launch.time, end) - min(launch.time, start)
         if len(launch.states) > 2:
             raise ValueError(f"balls that push each other are modelled in twos, not {len(launch.states)} at a time")
-        if lasts > max_pair_time:
-            raise ValueError(f"balls that push each other are followed for {max_pair_time:g} s, not for {lasts:g} s")
+        if lasts > MAX_PAIR_TIME_S:
+            raise ValueError(f"balls that push each other are followed for {MAX_PAIR_TIME_S:g} s, not for {lasts:g} s")
     return _EventLoop(model, launch, start, end, finish_slides, table).motion(max_events)
 
 

@@ -1,6 +1,7 @@
 """Scenes of many bodies: what they are, how each starts, what carries them, and the walls between which they move."""
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -206,36 +207,17 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
     bodies = _build_bodies(model, kinds)
     supports = tuple(_build_support(model, **(kind.get("support") or drawn["support"])) for kind in kinds)
     walls = tuple(_build_wall(**wall) for wall in drawn["walls"])
-    for number, wall in enumerate(walls):
-        if wall.cushion == "mathavan" and any(supports):
-            raise InputError(f"{where}: walls.{number}.cushion: mathavan is a law of balls on the plate; expected han")
+    sticks, force = tuple(float(kind["sticks"]) for kind in kinds), drawn.get("contact_force")
+    _check_cushions(walls, supports, where)
     states = np.array([_state(one, *body) for one, *body in zip(launches, bodies.radius, bodies.inertia, strict=True)])
     for k, (launch, kind, support) in enumerate(zip(launches, kinds, supports, strict=True)):
-        flat = support is not None or kind["shape"] == "disc"
-        if flat and isinstance(support, DryPlate) and bodies.inertia[k] != INERTIA["disc"]:
-            raise InputError(f"{where}: bodies: body {k} is on a dry support; expected a disc of even density")
         if support is None and kind["shape"] == "disc":
             raise InputError(f"{where}: bodies: disc {k} is on a plate of balls; expected support: air or dry")
-        if flat and (any(launch["slip"]) or launch["height"] or launch["rise"]):
-            raise InputError(f"{where}: launches.{k}: slip, height and rise are of balls on the plate; expected 0")
-        if flat:  # discs touch with their rims, so all centres are at one height
-            states[k, 2], states[k, 6:8] = model.ball.radius, 0.0
-    sticks, force = tuple(float(kind["sticks"]) for kind in kinds), drawn.get("contact_force")
-    if any(sticks) and {type(support) for support in supports} not in ({Air}, {DryPlate}):
-        raise InputError(
-            f"{where}: bodies: bodies stick on air, and discs on a dry plate; "
-            "expected support: air for all, or dry for all, or sticks: 0"
-        )
-    if any(sticks) and force:
-        raise InputError(f"{where}: contact_force: of bodies that do not stick; expected sticks: 0 with it")
-    if force and model.laws.has_effect_on("loft"):
-        raise InputError(f"{where}: contact_force: balls do not hop in contacts that last; expected no effect `hop`")
-    later = []
-    for k, launch in enumerate(launches):
-        push = launch.get("push", {})
-        if launch["time"] or push:
-            hand = push.get("until", -math.inf), tuple(push.get("acceleration", (0.0, 0.0)))
-            later.append(LaterLaunch(k, launch["time"], tuple(states[k, 3:].tolist()), *hand))
+        if support is not None or kind["shape"] == "disc":
+            _check_flat(k, launch, support, float(bodies.inertia[k]), where)
+            states[k, 2], states[k, 6:8] = model.ball.radius, 0.0  # rims touch, so all centres are at one height
+    _check_forces(model, supports, any(sticks), bool(force), where)
+    later = _list_later_launches(launches, states)
     if (later or force) and model.laws.needs("push", "other"):
         raise InputError(
             f"{where}: balls that push each other are launched together and hit in an instant; "
@@ -253,7 +235,47 @@ def build_table(model: Model, drawn: dict[str, Any], seed: tuple[int, int], wher
         sticks=sticks if any(sticks) else (),
         spring=ContactSpring(**force) if force else None,
     )
-    return Launch(0.0, states, bodies, tuple(later)), table
+    return Launch(0.0, states, bodies, later), table
+
+
+def _check_cushions(walls: Sequence[Wall], supports: Sequence[Support | None], where: str) -> None:
+    for number, wall in enumerate(walls):
+        if wall.cushion == "mathavan" and any(supports):
+            raise InputError(f"{where}: walls.{number}.cushion: mathavan is a law of balls on the plate; expected han")
+
+
+def _check_flat(k: int, launch: dict[str, Any], support: Support | None, inertia: float, where: str) -> None:
+    """Raise InputError where a body that glides cannot move so: inertia is over m R^2."""
+    if isinstance(support, DryPlate) and inertia != INERTIA["disc"]:
+        raise InputError(f"{where}: bodies: body {k} is on a dry support; expected a disc of even density")
+    if any(launch["slip"]) or launch["height"] or launch["rise"]:
+        raise InputError(f"{where}: launches.{k}: slip, height and rise are of balls on the plate; expected 0")
+
+
+def _check_forces(
+    model: Model, supports: Sequence[Support | None], bodies_stick: bool, contacts_last: bool, where: str
+) -> None:
+    """Raise InputError where forces that hold bodies together, or contacts that last, do not fit the scene."""
+    if bodies_stick and {type(support) for support in supports} not in ({Air}, {DryPlate}):
+        raise InputError(
+            f"{where}: bodies: bodies stick on air, and discs on a dry plate; "
+            "expected support: air for all, or dry for all, or sticks: 0"
+        )
+    if bodies_stick and contacts_last:
+        raise InputError(f"{where}: contact_force: of bodies that do not stick; expected sticks: 0 with it")
+    if contacts_last and model.laws.has_effect_on("loft"):
+        raise InputError(f"{where}: contact_force: balls do not hop in contacts that last; expected no effect `hop`")
+
+
+def _list_later_launches(launches: Sequence[dict[str, Any]], states: Array) -> tuple[LaterLaunch, ...]:
+    """List the launches of bodies that are not free at once: they start later, or a hand pushes them."""
+    later = []
+    for k, launch in enumerate(launches):
+        push = launch.get("push", {})
+        if launch["time"] or push:
+            hand = push.get("until", -math.inf), tuple(push.get("acceleration", (0.0, 0.0)))
+            later.append(LaterLaunch(k, launch["time"], tuple(states[k, 3:].tolist()), *hand))
+    return tuple(later)
 
 
 def check_counts(kinds: list[Any], launches: list[Any], where: str) -> None:

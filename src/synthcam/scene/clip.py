@@ -315,18 +315,8 @@ class Clip:
 def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") -> Clip:
     """Build one clip from settings without distributions. Raises InputError if they contradict each other."""
     model, where = build_model(drawn), where or drawn["name"]
-    timing, launch, camera = drawn["timing"], drawn["launch"], drawn["camera"]
-    for effect in model.effects:
-        if effect.active and "measure" in effect.laws:
-            raise InputError(f"{where}: effects.{effect.name()}: a defect of trackers, expected none in a scene")
-    if timing["exposure"] > 1 / timing["fps"]:
-        raise InputError(f"{where}: timing.exposure: expected at most 1/fps, {1 / timing['fps']:g} s")
-    if camera["height"] <= 2 * model.ball.diameter:
-        raise InputError(f"{where}: camera.height: expected more than two ball diameters ({model.ball.diameter:g} m)")
-    if drawn["lamp"]["position"][2] <= 2 * model.ball.diameter:
-        raise InputError(f"{where}: lamp.position: expected z above the balls")
-    if drawn.get("video") and (problem := find_video_problem(drawn["video"], camera["size"], timing["fps"])):
-        raise InputError(f"{where}: video: {problem}")
+    _check_settings(model, drawn, where)
+    timing, launch = drawn["timing"], drawn["launch"]
     try:
         lamp = build_lamp(drawn["lamp"])
     except ValueError as e:
@@ -365,6 +355,22 @@ def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "
         finish=finish,
         heights=heights,
     )
+
+
+def _check_settings(model: Model, drawn: dict[str, Any], where: str) -> None:
+    """Raise InputError where settings that are right by themselves contradict each other."""
+    timing, camera = drawn["timing"], drawn["camera"]
+    for effect in model.effects:
+        if effect.active and "measure" in effect.laws:
+            raise InputError(f"{where}: effects.{effect.name()}: a defect of trackers, expected none in a scene")
+    if timing["exposure"] > 1 / timing["fps"]:
+        raise InputError(f"{where}: timing.exposure: expected at most 1/fps, {1 / timing['fps']:g} s")
+    if camera["height"] <= 2 * model.ball.diameter:
+        raise InputError(f"{where}: camera.height: expected more than two ball diameters ({model.ball.diameter:g} m)")
+    if drawn["lamp"]["position"][2] <= 2 * model.ball.diameter:
+        raise InputError(f"{where}: lamp.position: expected z above the balls")
+    if drawn.get("video") and (problem := find_video_problem(drawn["video"], camera["size"], timing["fps"])):
+        raise InputError(f"{where}: video: {problem}")
 
 
 def list_track_columns(clip: Clip) -> ground_truth.Columns:

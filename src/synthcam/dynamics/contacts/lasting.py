@@ -166,7 +166,7 @@ class TouchingBodies:
         for part in split_into_groups(self.joined, in_contact):
             contacts = [c for c in self.contacts if c.i in part]
             own = {k: states[k] for k in part}
-            group = follow_contacts(self.model, self.spring, contacts, own, self.bodies, supports, t)
+            group = _follow_contacts(_GroupForces(self, sorted(own), contacts, supports), own, t)
             self.groups |= dict.fromkeys(part, group)
             out |= group.legs([supports[k] is None for k in group.members])
         return out
@@ -187,76 +187,80 @@ class TouchingBodies:
         return ended
 
 
-def follow_contacts(
-    model: Model,
-    spring: ContactSpring,
-    contacts: Sequence[SpringContact],
-    states: dict[int, State],
-    bodies: Bodies,
-    supports: Sequence[Support | None],
-    t: float,
-    *,
-    max_durations: float = 20.0,
-    end_gap: float = 1e-10,
-) -> TouchingGroup:
-    """Integrate bodies in contacts that last from their states at the time t, s, until a contact ends.
+class _GroupForces:
+    """What accelerates the bodies of a group, whose states are rows (m, 9) in the order of `members`."""
 
-    max_durations: for how long at most, in durations of the longest contact alone.
-    end_gap: a contact ends at this gap, over its reach, because many begin without overlap and almost without speed.
-    """
-    members = tuple(sorted(states))
-    rows, own, count = {k: row for row, k in enumerate(members)}, bodies[list(members)], len(members)
-    plate = np.array([supports[k] is None for k in members])
-    forces = Forces.of(model, own[np.flatnonzero(plate)]) if plate.any() else None
+    def __init__(
+        self,
+        touching: TouchingBodies,
+        members: Sequence[int],
+        contacts: Sequence[SpringContact],
+        supports: Sequence[Support | None],
+    ) -> None:
+        self.spring, self.contacts = touching.spring, contacts
+        self.row = {k: row for row, k in enumerate(members)}
+        self.bodies, self.supports = touching.bodies[list(members)], [supports[k] for k in members]
+        self.on_plate = np.array([support is None for support in self.supports])
+        own = self.bodies[np.flatnonzero(self.on_plate)]
+        self.forces = Forces.of(touching.model, own) if self.on_plate.any() else None
 
-    def carry(now: Array) -> Array:
+    def carry(self, now: Array) -> Array:
         """Return the accelerations (m, 6) of velocities and spins by plate and air."""
-        out = np.zeros((count, 6))
-        if forces is not None:
-            out[plate] = _slide(forces, now[plate], own.radius[plate], own.inertia[plate])
-        for row in np.flatnonzero(~plate):
-            support = supports[members[row]]
-            assert support is not None
-            ax, ay, turning = support.accelerate(tuple(now[row].tolist()), float(own.radius[row]))
-            out[row, [0, 1, 5]] = ax, ay, turning
+        out, plate, radius = np.zeros((len(now), 6)), self.on_plate, self.bodies.radius
+        if self.forces is not None:
+            out[plate] = _slide(self.forces, now[plate], radius[plate], self.bodies.inertia[plate])
+        for row, support in enumerate(self.supports):
+            if support is not None:
+                ax, ay, turning = support.accelerate(tuple(now[row].tolist()), float(radius[row]))
+                out[row, [0, 1, 5]] = ax, ay, turning
         return out
 
-    def press(now: Array, contact: SpringContact) -> tuple[float, float, float]:
+    def press(self, now: Array, contact: SpringContact) -> tuple[float, float, float]:
         """Return force, overlap and the angle of the normal."""
-        x, y, _, vx, vy, *_ = now[rows[contact.i]] - now[rows[contact.j]]
+        x, y, _, vx, vy, *_ = now[self.row[contact.i]] - now[self.row[contact.j]]
         far = math.hypot(x, y)
         overlap, rate = contact.reach - far, -(x * vx + y * vy) / far
-        return float(spring.force(contact.factors, overlap, rate)), overlap, math.atan2(y, x)
+        return float(self.spring.force(contact.factors, overlap, rate)), overlap, math.atan2(y, x)
 
-    def law(_: float, y: Array) -> Array:
-        now, given = y[: 9 * count].reshape(count, 9), np.zeros(len(contacts))
-        rates = np.zeros((count, 9))
-        rates[:, :2], rates[:, 3:] = now[:, 3:5], carry(now)
-        for number, contact in enumerate(contacts):
-            force, _, angle = press(now, contact)
+    def change(self, _: float, y: Array) -> Array:
+        """Return the rates of states and normal impulses (9 m + contacts,)."""
+        now, given = y[: 9 * len(self.row)].reshape(-1, 9), np.zeros(len(self.contacts))
+        rates = np.zeros_like(now)
+        rates[:, :2], rates[:, 3:] = now[:, 3:5], self.carry(now)
+        for number, contact in enumerate(self.contacts):
+            force, _, angle = self.press(now, contact)
             given[number] = force
             for k, change in zip((contact.i, contact.j), contact.changes, strict=True):
-                rates[rows[k], 3:] += force * _turn(change, angle)
+                rates[self.row[k], 3:] += force * _turn(change, angle)
         return np.concatenate([rates.ravel(), given])
 
-    def ends(number: int) -> Any:
+    def find_end(self, contact: SpringContact) -> Any:
+        """Return the event of `solve_ivp` at which a contact ends."""
+        end_gap = 1e-10  # over the reach: many contacts begin without overlap and almost without speed
+
         def overlap(_: float, y: Array) -> float:
-            overlapping = press(y[: 9 * count].reshape(count, 9), contacts[number])[1]
-            return overlapping + end_gap * contacts[number].reach
+            overlapping = self.press(y[: 9 * len(self.row)].reshape(-1, 9), contact)[1]
+            return overlapping + end_gap * contact.reach
 
         overlap.terminal, overlap.direction = True, -1  # type: ignore[attr-defined]
         return overlap
 
+
+def _follow_contacts(forces: _GroupForces, states: dict[int, State], t: float) -> TouchingGroup:
+    """Integrate the bodies of a group from their states at the time t, s, until one of its contacts ends."""
     from scipy.integrate import solve_ivp  # here alone: slow to load
 
+    contacts, members = tuple(forces.contacts), tuple(forces.row)
+    longest = 20.0 * max(c.lasts for c in contacts)  # at most, s: contacts of a group may last longer than alone
+    step = min(c.lasts for c in contacts) / 10
     first = np.concatenate([np.array([states[k] for k in members]).ravel(), [c.given for c in contacts]])
-    lasts, events = [c.lasts for c in contacts], [ends(number) for number in range(len(contacts))]
-    how: Any = {"method": "LSODA", "rtol": 1e-9, "atol": 1e-14, "max_step": min(lasts) / 10, "dense_output": True}
-    done = solve_ivp(law, (0.0, max_durations * max(lasts)), first, events=events, **how)
+    how: Any = {"method": "LSODA", "rtol": 1e-9, "atol": 1e-14, "max_step": step, "dense_output": True}
+    events = [forces.find_end(contact) for contact in contacts]
+    done = solve_ivp(forces.change, (0.0, longest), first, events=events, **how)
     if not done.success or done.t_events is None:
         raise ValueError(f"a contact that lasts cannot be followed beyond {t + done.t[-1]:.6g} s: {done.message}")
     ended = tuple(number for number, times in enumerate(done.t_events) if len(times))
-    return TouchingGroup(members, tuple(contacts), t, t + float(done.t[-1]), done.sol, ended)
+    return TouchingGroup(members, contacts, t, t + float(done.t[-1]), done.sol, ended)
 
 
 def _slide(forces: Forces, states: Array, radius: Array, inertia: Array) -> Array:
