@@ -36,6 +36,7 @@ from tracker.camera.camera import Camera
 from tracker.detection.likelihood.cramer_rao import localisation_bound, localisation_bound_fixed
 from tracker.measurement.estimate import largest_error
 from tracker.measurement.noise.whitening import position_covariance
+from tracker.scoring.localisation import find_true_glints
 from tracker.scoring.score import score
 
 JUDGED = "r s tau1 tau2 mu_k C v1f v2f energy_fraction momentum_fraction".split()
@@ -74,13 +75,7 @@ def add_noise(clip: Path, rng: np.random.Generator) -> pd.DataFrame:
     whole = pd.read_parquet(clip / "truth" / "tracks.parquet").query("visible").sort_values(["particle", "frame"])
     parts = []
     for _, true in whole.groupby("particle"):
-        glint, flux = (
-            true[["glint_x_px", "glint_y_px"]].to_numpy(float),
-            np.full(len(true), peak * 2 * math.pi * sigma**2),
-        )
-        here = true[["x", "y", "z"]].to_numpy(float)
-        there = here + true[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
-        blur = camera.project(there) - camera.project(here)
+        (glint, blur), flux = find_true_glints(true, camera), np.full(len(true), peak * 2 * math.pi * sigma**2)
         cov, fixed = localisation_bound(camera, flux, glint, blur), localisation_bound_fixed(camera, flux, glint)
         root = np.linalg.cholesky(position_covariance(glint, cov, fixed, sigma))
         xy = true[["x_mean_px", "y_mean_px"]].to_numpy() + (root @ rng.standard_normal(len(root))).reshape(-1, 2)

@@ -30,7 +30,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.recordings import open_source
 from tracker.detection.detect import DEFAULT, load_detector, make_view, run_detector
 from tracker.detection.likelihood.cramer_rao import localisation_bound
-from tracker.scoring.localisation import MatchedDetections, match, score_positions
+from tracker.scoring.localisation import MatchedDetections, find_true_glints, match, score_positions
 
 SCENE = "scenes/benchmark.yaml"
 PEERS = ("trackpy_locate", "opencv_components", "skimage_regionprops", "skimage_blob_log", "centroid")
@@ -84,11 +84,7 @@ def fluxes(truth: pd.DataFrame, found: pd.DataFrame, camera: Camera) -> pd.Serie
 def bounds(matched: MatchedDetections, camera: Camera) -> np.ndarray:
     """Cramer-Rao covariances at the true positions of the balls that were found."""
     rows = matched.truth.iloc[matched.pairs[:, 0]]
-    here = rows[["x", "y", "z"]].to_numpy(float)
-    there = here + rows[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
-    blur = camera.project(there) - camera.project(here)
-    glint = rows[["glint_x_px", "glint_y_px"]].to_numpy(float)
-    return localisation_bound(camera, rows["flux"].to_numpy(float), glint, blur)
+    return localisation_bound(camera, rows["flux"].to_numpy(float), *find_true_glints(rows, camera))
 
 
 def towards(matched: MatchedDetections) -> np.ndarray:

@@ -14,6 +14,7 @@ from discrepancy.policy import current_policy
 from synthcam_shared.arrays import Array, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
+from tracker.tables.unit_check import find_common_frames
 
 
 def detect_wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
@@ -57,13 +58,11 @@ def find_exchange(tracks: Tracks, camera: Camera) -> int | None:
 
 def _pair(tracks: Tracks) -> tuple[Ints, Array, Array]:
     """Frames (k,) in which the two balls seen most often are both seen, and their positions there, px, (k, 2) twice."""
-    particles, counts = np.unique(tracks.particle, return_counts=True)
-    chosen = particles[np.argsort(-counts, kind="stable")[:2]]
-    if len(chosen) < 2:
+    found = find_common_frames(tracks)
+    if found is None:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2))
-    first, second = (np.flatnonzero(tracks.particle == p) for p in chosen)
-    frame, one, two = np.intersect1d(tracks.frame[first], tracks.frame[second], return_indices=True)
-    return frame, tracks.xy[first[one]], tracks.xy[second[two]]
+    _, one, two, frame = found
+    return frame, one, two
 
 
 def remove_strays(tracks: Tracks, camera: Camera) -> tuple[Tracks, list[int]]:

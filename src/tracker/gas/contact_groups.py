@@ -17,11 +17,12 @@ from tracker.gas.contact_losses import (
     find_measured,
     lies_inside,
     measure_contact_losses,
-    measure_energies,
+    measure_end_energies,
 )
 from tracker.gas.free_paths import FreePath
 from tracker.gas.hidden_slides import USUAL_FRICTION
 
+MOST_SIGMA = 4.0  # of the loss of a contact from the expected one; beyond it another contact was not found
 HIDDEN_SHARE = 0.1  # of the energy of contacts next to one another, by one of the other kind that was not found
 COMMON_ERROR_OF_EXPECTED = 0.3  # relative, of losses that the kicks let expect
 HIDING_FRAMES = 1.5  # between two contacts of a ball, of which one is not found; in films of known truth
@@ -54,65 +55,105 @@ def lies_within_group(path: FreePath, least: int = 0) -> bool:
     return min(path.start, path.end) >= 0 and not (path.usable and len(path.time) >= least)
 
 
+class _GroupedContacts(NamedTuple):
+    """Contacts with the number of the group of each, and the energy that each takes by itself."""
+
+    table: pd.DataFrame
+    label: Ints
+    groups: int
+    lone: Flags  # kinks of balls that hit one that was not found
+    is_wall: Flags
+    taken: Array
+    variance: Array
+
+    @property
+    def sizes(self) -> Ints:
+        """The number of contacts of each group."""
+        return np.bincount(self.label, minlength=self.groups).astype(np.int64)
+
+    @property
+    def single(self) -> Flags:
+        """The contacts that are a group by themselves."""
+        return np.asarray(self.sizes[self.label] == 1)
+
+    def add_up(self, values: Array | Flags | Ints) -> Array:
+        """Sums over the contacts of each group."""
+        return np.asarray(np.bincount(self.label, values, self.groups), dtype=np.float64)
+
+
 def group_contacts(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float, frame_s: float) -> ContactGroups:
     """Join contacts between which a ball has no usable path, and balance the energies of the balls before and after.
 
     The contacts of a group take what its balls lose in all, but for what the plate takes between them. Losses far from
     what the kicks let expect are not known: a contact that was not found changes them.
     """
-    most_sigma = 4.0
-    taken, variances, common = measure_contact_losses(contacts, paths, noise, frame_s)
-    balls, lone = contacts[["particle1", "particle2"]].to_numpy(), lies_inside(contacts)
-    bodies = 1 + (balls[:, 1] >= 0)
-    lone &= bodies == 1  # kinks of balls that hit one that was not found
-    inner = [path for path in paths if lies_within_group(path)]
-    links = np.array([[path.start, path.end] for path in inner], dtype=np.int64).reshape(-1, 2).T
-    graph = coo_matrix((np.ones(len(inner)), tuple(links)), (len(contacts), len(contacts)))
-    groups, found = connected_components(graph, directed=False)
-    label = found.astype(np.int64)
-    single = (np.bincount(label, minlength=groups) == 1)[label]
-    is_wall, expected, std = (bodies == 1) & ~lone, np.zeros((2, groups)), np.zeros((2, groups))
-    if "kick" in contacts and len(contacts):
-        across = find_approaches(contacts, paths, noise)[1]
-        each, error = expect_losses(contacts, np.where(single, taken, np.nan), variances, across, is_wall)
-        far = np.abs(taken - each) > most_sigma * np.hypot(error, np.sqrt(variances))
-        given = find_measured(contacts)
-        taken = np.where(far & ~given, np.nan, taken)
-        usual = _combine(taken, variances, each, error)
-        taken, variances = np.where(given, (taken, variances), usual)
-        for row, kind in enumerate((~is_wall, is_wall)):
-            known = kind & np.isfinite(each)
-            share = np.where(lone, 0.75, 1.0)[known]  # of a pair, whose other ball may have a kink of its own
-            expected[row] = np.bincount(label[known], share * each[known], groups)
-            std[row] = np.sqrt(np.bincount(label[known], (share * np.hypot(each, error)[known]) ** 2, groups))
+    taken, variance, common = measure_contact_losses(contacts, paths, noise, frame_s)
+    bodies = 1 + (contacts["particle2"].to_numpy() >= 0)
+    lone = lies_inside(contacts) & (bodies == 1)
+    label, groups = _join_contacts(len(contacts), paths)
+    given = _GroupedContacts(contacts, label, groups, lone, (bodies == 1) & ~lone, taken, variance)
+    given, expected, std = _expect_by_kicks(given, paths, noise)
+    single, joined = given.single, given.sizes > 1
     loss, variance, effects = np.full(groups, np.nan), np.zeros(groups), np.zeros((groups, 2))
-    loss[label[single]], variance[label[single]] = taken[single], variances[single]
+    loss[label[single]], variance[label[single]] = given.taken[single], given.variance[single]
     effects[label[single]] = common[single]
     balance, whole = _balance_groups(label, groups, bodies, paths, noise)
-    balance[0][np.bincount(label[lone], minlength=groups) > 0] = np.nan  # another ball has a part of the energy
-    far = np.abs(balance[0] - expected.sum(axis=0)) > most_sigma * np.sqrt((std**2).sum(axis=0) + balance[1])
-    joined = np.bincount(label, minlength=groups) > 1
+    balance[0][given.add_up(lone) > 0] = np.nan  # another ball has a part of the energy
+    far = np.abs(balance[0] - expected.sum(axis=0)) > MOST_SIGMA * np.sqrt((std**2).sum(axis=0) + balance[1])
     loss[joined], variance[joined] = np.where(far, np.nan, balance[0])[joined], balance[1][joined]
     disturbed = ~np.isfinite(loss) & whole & expected.any(axis=0)
     loss[disturbed], variance[disturbed] = expected.sum(axis=0)[disturbed], (std**2).sum(axis=0)[disturbed]
     effects[disturbed, 0] = COMMON_ERROR_OF_EXPECTED * loss[disturbed]
-    numbers = np.array([np.bincount(label, kind, groups) for kind in (~is_wall, is_wall)])
+    numbers = np.array([given.add_up(kind) for kind in (~given.is_wall, given.is_wall)])
     weights = np.where(expected.any(axis=0), expected, numbers)
     share = weights / np.maximum(weights.sum(axis=0), 1e-300)
-    share_variance = np.maximum(share.prod(axis=0), np.where(joined, HIDDEN_SHARE * (1 - HIDDEN_SHARE), 0.0))
     return ContactGroups(
-        label,
-        loss,
-        variance,
-        effects,
-        expected,
-        std,
-        share,
-        share_variance,
-        np.bincount(label, count_hidden(contacts, frame_s), groups)
-        / np.maximum(np.bincount(label, minlength=groups), 1),
-        np.bincount(label, bodies, groups).astype(np.int64),
+        label=label,
+        loss=loss,
+        variance=variance,
+        common=effects,
+        expected=expected,
+        expected_std=std,
+        share=share,
+        share_variance=np.maximum(share.prod(axis=0), np.where(joined, HIDDEN_SHARE * (1 - HIDDEN_SHARE), 0.0)),
+        hiding=given.add_up(count_hidden(contacts, frame_s)) / np.maximum(given.sizes, 1),
+        bodies=given.add_up(bodies).astype(np.int64),
     )
+
+
+def _join_contacts(count: int, paths: Sequence[FreePath]) -> tuple[Ints, int]:
+    """The number of the group of each contact, and the number of groups."""
+    inner = [path for path in paths if lies_within_group(path)]
+    links = np.array([[path.start, path.end] for path in inner], dtype=np.int64).reshape(-1, 2).T
+    graph = coo_matrix((np.ones(len(inner)), tuple(links)), (count, count))
+    groups, label = connected_components(graph, directed=False)
+    return label.astype(np.int64), groups
+
+
+def _expect_by_kicks(
+    given: _GroupedContacts, paths: Sequence[FreePath], noise: float
+) -> tuple[_GroupedContacts, Array, Array]:
+    """Weigh what contacts take by what their kicks let expect.
+
+    Also returns, for each group, what its contacts of balls and with walls usually take (2, groups), and the errors.
+    """
+    expected, std = np.zeros((2, given.groups)), np.zeros((2, given.groups))
+    if "kick" not in given.table or not len(given.table):
+        return given, expected, std
+    across = find_approaches(given.table, paths, noise)[1]
+    alone = np.where(given.single, given.taken, np.nan)
+    each, error = expect_losses(given.table, alone, given.variance, across, given.is_wall)
+    far = np.abs(given.taken - each) > MOST_SIGMA * np.hypot(error, np.sqrt(given.variance))
+    measured = find_measured(given.table)
+    taken = np.where(far & ~measured, np.nan, given.taken)
+    usual = _combine(taken, given.variance, each, error)
+    taken, variance = np.where(measured, (taken, given.variance), usual)
+    scatter, share = np.hypot(each, error), np.where(given.lone, 0.75, 1.0)  # the other ball may have a kink of its own
+    for row, kind in enumerate((~given.is_wall, given.is_wall)):
+        known = kind & np.isfinite(each)
+        expected[row] = given.add_up(np.where(known, share * each, 0.0))
+        std[row] = np.sqrt(given.add_up(np.where(known, (share * scatter) ** 2, 0.0)))
+    return given._replace(taken=taken, variance=variance), expected, std
 
 
 def count_hidden(contacts: pd.DataFrame, frame_s: float) -> Array:
@@ -165,8 +206,7 @@ def _balance_groups(
     """
     ends, sums = np.zeros((len(label), 2), dtype=np.int64), np.zeros((2, groups))
     for path in paths:
-        value, error = measure_energies(path.velocities.take(slice(-2, None)), noise)
-        error = error + 2 * np.maximum(value, 0) * path.unsure_in_all[-2:] ** 2
+        value, error = measure_end_energies(path, noise)
         for row, after, k in ((path.start, 1, 0), (path.end, 0, 1)):
             if row >= 0:
                 ends[row, after] += 1

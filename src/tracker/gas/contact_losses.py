@@ -20,6 +20,12 @@ def measure_energies(velocities: HalfVelocities, noise: float) -> tuple[Array, A
     return square / 2, variance / 4
 
 
+def measure_end_energies(path: FreePath, noise: float) -> tuple[Array, Array]:
+    """Measure the energies of a ball at the start and at the end of a free path (2,), and their variances."""
+    value, variance = measure_energies(path.velocities.take(slice(-2, None)), noise)
+    return value, variance + 2 * np.maximum(value, 0) * path.unsure_in_all[-2:] ** 2
+
+
 def predict_losses(contacts: pd.DataFrame, paths: Sequence[FreePath], noise: float) -> tuple[Array, Array, Array]:
     """Predict the energy that each contact takes, by its kick K and the velocities before it.
 
@@ -156,8 +162,7 @@ def measure_contact_losses(
     value, variance = np.full((len(contacts), 2, 2), np.nan), np.full((len(contacts), 2, 2), np.nan)
     value[balls[:, 1] < 0, 1] = variance[balls[:, 1] < 0, 1] = 0.0
     for path in paths:
-        own, error = measure_energies(path.velocities.take(slice(-2, None)), noise)
-        error = error + 2 * np.maximum(own, 0) * path.unsure_in_all[-2:] ** 2
+        own, error = measure_end_energies(path, noise)
         for row, after, k in ((path.start, 1, 0), (path.end, 0, 1)):
             if row >= 0:
                 which = int(balls[row, 0] != path.ball)

@@ -106,8 +106,7 @@ def to_ball_tracks(tracks: Tracks, camera: Camera, *, unknown_error_px: float = 
     xy, frame, particle = xy[keep], np.asarray(tracks.frame)[keep].astype(np.int64), np.asarray(tracks.particle)[keep]
     position, slope = camera.unproject(xy)
     pixel, fixed = (np.asarray(c, dtype=np.float64)[keep] for c in (tracks.cov, tracks.fixed))
-    determinant = pixel[:, 0, 0] * pixel[:, 1, 1] - pixel[:, 0, 1] * pixel[:, 1, 0]
-    weighed = len(pixel) > 0 and bool(np.all((determinant > 0) & (pixel[:, 0, 0] > 0)))  # NaN is not
+    weighed = _have_covariances(pixel)
     if not weighed:
         pixel, fixed = np.broadcast_to(np.eye(2) * unknown_error_px**2, pixel.shape), np.zeros_like(pixel)
     cov, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (pixel, np.nan_to_num(fixed)))
@@ -117,16 +116,11 @@ def to_ball_tracks(tracks: Tracks, camera: Camera, *, unknown_error_px: float = 
     apart = np.hypot(tracks.x - tracks.glint_x, tracks.y - tracks.glint_y)[keep]  # NaN or 0 where no glint was seen
     word = PositionFlag.SHADED.word
     shaded = np.array([word in words for words in tracks.flags[keep].tolist()], dtype=bool)
-    shadow_m = SHADED_POSITION_ERROR_RADII * camera.ball_diameter / 2
     encoded = camera.sensor.codec_noise > 0
     found = []
     for ball in np.unique(particle):
         rows = np.flatnonzero(particle == ball)
         rows = rows[np.unique(frame[rows], return_index=True)[1]]  # in order; a frame given twice counts once
-        drift = (0.0, 0.0)
-        if shaded[rows].any():  # each position keeps a share of its variance: the ball may look smaller than it is
-            most = np.sqrt((1 - 1e-3) * float(np.linalg.eigvalsh(cov[rows])[:, 0].min()))
-            drift = min(shadow_m, float(most)), camera.ball_diameter
         found.append(
             BallTrack(
                 particle=int(ball),
@@ -137,7 +131,7 @@ def to_ball_tracks(tracks: Tracks, camera: Camera, *, unknown_error_px: float = 
                 exposure=camera.exposure,
                 fixed=shared[rows],
                 width=width,
-                drift=drift,
+                drift=_find_shading_drift(cov[rows], camera) if shaded[rows].any() else (0.0, 0.0),
                 has_errors=weighed,
                 noise_dof=np.inf if weighed else 0.0,
                 encoded=encoded,
@@ -154,6 +148,22 @@ def to_ball_tracks(tracks: Tracks, camera: Camera, *, unknown_error_px: float = 
         return found
     own = warp.std**2 * np.eye(2)  # of an error that lasts while a ball moves on
     return [replace(b, cov=b.cov + own, fixed=b.fixed + own, warp=(warp.std, warp.length)) for b in found]
+
+
+def _have_covariances(pixel: Array) -> bool:
+    """True if all of some matrices (n, 2, 2) are covariances, and there is one."""
+    determinant = pixel[:, 0, 0] * pixel[:, 1, 1] - pixel[:, 0, 1] * pixel[:, 1, 0]
+    return len(pixel) > 0 and bool(np.all((determinant > 0) & (pixel[:, 0, 0] > 0)))  # NaN is not
+
+
+def _find_shading_drift(cov: Array, camera: Camera) -> tuple[float, float]:
+    """The error that lasts while a shaded ball moves on, and the way over which it lasts, m.
+
+    Each position keeps a share of its variance: the ball may look smaller than it is.
+    """
+    shadow = SHADED_POSITION_ERROR_RADII * camera.ball_diameter / 2
+    most = np.sqrt((1 - 1e-3) * float(np.linalg.eigvalsh(cov)[:, 0].min()))
+    return min(shadow, float(most)), camera.ball_diameter
 
 
 def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]:

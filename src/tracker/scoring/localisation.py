@@ -90,16 +90,20 @@ def position_bounds(matched: MatchedDetections, camera: Camera) -> Array:
     if camera.sigma is None or "flux" not in matched.found or n == 0:
         return np.full((n, 2, 2), np.nan)
     truth, found = matched.truth.iloc[matched.pairs[:, 0]], matched.found.iloc[matched.pairs[:, 1]]
-    here = truth[["x", "y", "z"]].to_numpy(float)
-    there = here + truth[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
-    blur = camera.project(there) - camera.project(here)
-    glint = truth[["glint_x_px", "glint_y_px"]].to_numpy(float)
+    glint, blur = find_true_glints(truth, camera)
     flux = found["flux"].to_numpy(float)
     known = np.isfinite(flux) & (flux > 0) & np.isfinite(glint).all(axis=1)
     out = np.full((n, 2, 2), np.nan)
     if known.any():
         out[known] = localisation_bound(camera, flux[known], glint[known], blur[known])
     return out
+
+
+def find_true_glints(truth: pd.DataFrame, camera: Camera) -> tuple[Array, Array]:
+    """The true positions (n, 2) of glints, px, and how far the ball of each moves during the exposure, px."""
+    here = truth[["x", "y", "z"]].to_numpy(float)
+    there = here + truth[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
+    return truth[["glint_x_px", "glint_y_px"]].to_numpy(float), camera.project(there) - camera.project(here)
 
 
 @dataclass(frozen=True)

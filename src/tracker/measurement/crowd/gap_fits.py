@@ -271,38 +271,12 @@ def fit_gaps(gaps: ContactGaps, settings: ContactFinderSettings, diameter: float
 
     diameter: m; exposure: s.
     """
-    steps_in_gap = 8  # instants between two frames that are tried
     gaps, has_before, has_after = _take_usable(gaps, settings.least_positions)
     both = has_before & has_after
-    first = gaps.time.min(axis=-1, where=gaps.before | gaps.after, initial=np.inf)
-    earlier = gaps.slides.where((gaps.slides.start < first) & (gaps.slides.start + gaps.slides.duration >= first))
-    none = Slides(np.zeros(first.shape), np.zeros((*first.shape, 2)), gaps.slides.decel)
-
-    def fit(used: Flags, slides: Slides, position: Array = gaps.position) -> Parabolas:
-        return _fit_paths(gaps.time, position, used, gaps.variance, settings.curvature, slides)
-
-    def fit_with_slides(used: Flags) -> Parabolas:
-        """With the slide of the last contact before, if that fits better."""
-        rolls = fit(used, none)
-        if not earlier.slip.any():
-            return rolls
-        slide = fit(used, earlier)
-        return rolls.replace_where(slide.chi2 < rolls.chi2, slide)
-
-    before, whole = fit_with_slides(gaps.before), fit_with_slides(gaps.before | gaps.after)
-    after = fit(gaps.after, none)
-    touch = diameter, settings.distance_share * diameter
-    times = np.linspace(gaps.low, gaps.high, steps_in_gap + 1, axis=-1)  # (m, steps)
-    at, slips = np.zeros(len(times)), np.zeros_like(gaps.position[:, :, 0])
-    for _ in range(2 if gaps.slides.decel else 1):  # each with slides from the instant of the last
-        for _ in range(2 if gaps.slides.decel else 0):  # the kick and the slide depend on one another
-            slips = _predict_slips(before, after, (has_before, has_after), at, settings.spin_transfer)
-            known = np.all(np.isfinite(slips), axis=-1)
-            slide = Slides(np.broadcast_to(at[:, None], known.shape), slips, none.decel).where(known)
-            moved = gaps.position + slide.shape(gaps.time)[..., None] * slide.direction[..., None, :]
-            after = after.replace_where(known, fit(gaps.after, none, moved))
-        cost, places = _compare_paths(before, after, (has_before, has_after), times, touch)
-        at, bend = _find_least(times, cost)
+    before, whole = (
+        _fit_with_slides(gaps, used, settings.curvature) for used in (gaps.before, gaps.before | gaps.after)
+    )
+    at, bend, cost, places, after, slips = _find_instants(gaps, before, (has_before, has_after), settings, diameter)
     best = np.argmin(cost, axis=1)
     cost = np.take_along_axis(cost, best[:, None], axis=1)[:, 0]
     positions = np.count_nonzero(gaps.before | gaps.after, axis=-1)
@@ -327,6 +301,63 @@ def fit_gaps(gaps: ContactGaps, settings: ContactFinderSettings, diameter: float
         velocity_std=np.sqrt(np.where(both, excess[:, None] * (var_before + var_after), np.nan)),
         slips=slips,
     )
+
+
+class _Instants(NamedTuple):
+    """The best instants of contacts in m gaps, and the paths after them."""
+
+    at: Array  # (m,) s after `zero`
+    bend: Array  # (m,) second derivatives of chi^2 there
+    cost: Array  # (m, n) chi^2 at the instants that were tried
+    places: Array  # (m, balls, n, 2) of the balls there
+    after: Parabolas
+    slips: Array  # (m, balls, 2) just after; 0 if balls glide
+
+
+def _find_instants(
+    gaps: ContactGaps,
+    before: Parabolas,
+    has: tuple[Flags, Flags],
+    settings: ContactFinderSettings,
+    diameter: float,
+) -> _Instants:
+    """Find the instants at which the paths before and after a contact meet best; has: which balls have such paths."""
+    steps_in_gap = 8  # instants between two frames that are tried
+    after = _fit_side(gaps, gaps.after, settings.curvature)
+    touch = diameter, settings.distance_share * diameter
+    times = np.linspace(gaps.low, gaps.high, steps_in_gap + 1, axis=-1)  # (m, steps)
+    at, slips = np.zeros(len(times)), np.zeros_like(gaps.position[:, :, 0])
+    for _ in range(2 if gaps.slides.decel else 1):  # each with slides from the instant of the last
+        for _ in range(2 if gaps.slides.decel else 0):  # the kick and the slide depend on one another
+            slips = _predict_slips(before, after, has, at, settings.spin_transfer)
+            known = np.all(np.isfinite(slips), axis=-1)
+            slide = Slides(np.broadcast_to(at[:, None], known.shape), slips, gaps.slides.decel).where(known)
+            moved = gaps.position + slide.shape(gaps.time)[..., None] * slide.direction[..., None, :]
+            rolling = _fit_side(gaps._replace(position=moved), gaps.after, settings.curvature)
+            after = after.replace_where(known, rolling)
+        cost, places = _compare_paths(before, after, has, times, touch)
+        at, bend = _find_least(times, cost)
+    return _Instants(at, bend, cost, places, after, slips)
+
+
+def _fit_side(gaps: ContactGaps, used: Flags, curvature: float, slides: Slides | None = None) -> Parabolas:
+    """Fit parabolas to the used positions; slides of earlier contacts: none by default."""
+    if slides is None:
+        balls = gaps.slides.start.shape
+        slides = Slides(np.zeros(balls), np.zeros((*balls, 2)), gaps.slides.decel)
+    return _fit_paths(gaps.time, gaps.position, used, gaps.variance, curvature, slides)
+
+
+def _fit_with_slides(gaps: ContactGaps, used: Flags, curvature: float) -> Parabolas:
+    """Fit parabolas with the slide of the last contact before, where that fits better."""
+    first = gaps.time.min(axis=-1, where=gaps.before | gaps.after, initial=np.inf)
+    start = gaps.slides.start
+    earlier = gaps.slides.where((start < first) & (start + gaps.slides.duration >= first))
+    rolls = _fit_side(gaps, used, curvature)
+    if not earlier.slip.any():
+        return rolls
+    slide = _fit_side(gaps, used, curvature, earlier)
+    return rolls.replace_where(slide.chi2 < rolls.chi2, slide)
 
 
 def _take_usable(gaps: ContactGaps, least: int) -> tuple[ContactGaps, Flags, Flags]:
