@@ -61,12 +61,13 @@ def write_gas(gas: GasObservables, folder: Path, command: str) -> Path:
         ),
         PageSection("Method", [PageList(METHOD)]),
     ]
+    title = "Temperature and energy of a gas of balls" + (f": {gas.name}" if gas.name else "")
     with replace_folder(folder, FILES, "an earlier gas of tracker gas") as aside:
         document = {"values": gas.values, "area": gas.area, "notes": list(gas.notes)}
         write_atomically(aside / FILES[0], json.dumps(replace_non_finite(document), indent=1) + "\n")
         for attribute, file in TABLES.items():
             write_atomically(aside / file, getattr(gas, attribute).to_csv(index=False, lineterminator="\n"))
-        write_page(aside / FILES[1], f"Gas {gas.name}".rstrip(), sections, command, summarise_gas(gas), gas.notes)
+        write_page(aside / FILES[1], title, sections, command, summarise_gas(gas), gas.notes)
     return folder / FILES[1]
 
 

@@ -70,7 +70,8 @@ def write_set(
     ]
     with replace_folder(folder, FILES, "an earlier set of tracker combine") as aside:
         write_atomically(aside / FILES[0], json.dumps(document, indent=1) + "\n")
-        title = f"Set {folder.resolve().name}"
+        count = f"{document['used']} collision{'s' * (document['used'] != 1)}"
+        title = f"Means and scatter of {count}: {folder.resolve().name}"
         summary = summarise_set(document, quantities)[:1]
         write_page(aside / FILES[1], title, sections, command, summary, document["notes"])
     return folder / FILES[1]

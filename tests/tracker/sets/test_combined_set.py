@@ -151,7 +151,9 @@ def test_the_command_writes_a_set_and_replaces_it(tmp_path):
     assert {key: found[key] for key in stored} == stored
     assert sorted(p.name for p in (tmp_path / "set").iterdir()) == ["index.html", "set.json"]
     assert stored["results"] == {"a": 4, "b": 1}
-    assert "forest plot" in (tmp_path / "set/index.html").read_text()
+    page = (tmp_path / "set/index.html").read_text()
+    assert "forest plot" in page
+    assert "<h1>Means and scatter of 5 collisions: set</h1>" in page
 
 
 def write_local(folder, hits, seed, **more):
