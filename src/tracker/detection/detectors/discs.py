@@ -139,13 +139,16 @@ class Discs:
             self.scenes[scene] = clean(scene, [np.asarray(view.frames[k]) for k in numbers], tally)
         self.fitted = tuple(tally.radii)  # radii of whole discs in these frames, px
         if self.is_shaded and len(self.fitted) > 3:
-            fitted = np.array(self.fitted)
-            near = np.abs(fitted[:, None] - self.radii).argmin(axis=1)
-            # The far side of a ball that is lit from one side hardly shows: its radius is tied to the others'.
-            self.relative_radius_std = 0.002
-            self.radii = [float(np.median(fitted[near == k])) for k in np.unique(near)]
-            if view.camera.knows_diameter and abs(self.radii[0] / given - 1) < 0.12:
-                self.true_to_fitted_radius = given / self.radii[0]
+            self._tie_radii(given)
+
+    def _tie_radii(self, given: float) -> None:
+        """Give balls that are lit from one side the radii of all: their far sides hardly show."""
+        fitted = np.array(self.fitted)
+        near = np.abs(fitted[:, None] - self.radii).argmin(axis=1)
+        self.relative_radius_std = 0.002
+        self.radii = [float(np.median(fitted[near == k])) for k in np.unique(near)]
+        if self.view.camera.knows_diameter and abs(self.radii[0] / given - 1) < 0.12:
+            self.true_to_fitted_radius = given / self.radii[0]
 
     @property
     def radius(self) -> float:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,21 +101,67 @@ def _list_pixels(at: Array, reach: int, shape: tuple[int, ...], rim: int) -> Any
     return np.mgrid[top:bottom, left:right]
 
 
+class _EdgePixels(NamedTuple):
+    """The pixels (n,) near an outline."""
+
+    x: Array
+    y: Array
+    light: Array  # counts
+    level: Array  # counts of the ground
+    doubt: Array  # their errors
+
+
+class _Minimum(NamedTuple):
+    """The end of a fit: its parameters, and what the last step was computed from."""
+
+    now: Array  # x, y, radius, width of the edge, the blur where it is long enough, the terms of the brightness
+    cover: Array  # (n,) share of each pixel that the disc covers
+    slopes: Array  # (parameters, n)
+    left: Array  # (n,) residuals
+    weight: Array  # (n,)
+    normal: Array  # (parameters, parameters)
+
+
 def _fit_from(scene: DiscScene, start: Array) -> DiscFit | None:
     """Fit x, y, radius, width of the edge, the blur where it is long enough, and the terms of the brightness."""
-    look, blur = scene.look, scene.blur
-    x, y, light, level, doubt = _pixels(scene, start)
-    long = float(np.hypot(*blur))
-    if len(x) < 16:
+    look, pixels = scene.look, _pixels(scene, start)
+    if len(pixels.x) < 16:
         return None
-    terms = _brightness_terms(x - start[0], y - start[1], look)
+    terms = _brightness_terms(pixels.x - start[0], pixels.y - start[1], look)
+    found = _minimise(scene, pixels, terms, start)
+    if found is None:
+        return None
+    now, weight = found.now, found.weight
+    spread = float(np.sqrt((weight * found.left**2).sum() / max(weight.sum() - len(now), 1.0)))
+    far = np.hypot(pixels.x - start[0], pixels.y - start[1])
+    inner = far <= max(look.radius, float(far.min()))
+    contrast = abs(quick_median((now[-len(terms) :] @ terms)[inner]) - quick_median(pixels.level))
+    if (
+        float(np.hypot(*(now[:2] - start))) > _find_farthest(scene)
+        or np.hypot(0.25 * contrast, 1.2 * look.noise) <= spread  # residuals of a quarter of the contrast: no disc
+    ):
+        return None
+    inverse, usual = np.asarray(np.linalg.inv(found.normal), np.float64), min(look.noise**2, spread**2)
+    fixed = _find_lasting_errors(scene, pixels, found, inverse, spread**2 - usual)
+    cov = inverse * usual + fixed
+    return DiscFit(position=now[:2], cov=cov[:2, :2], fixed=fixed[:2, :2], radius=float(now[2]), spread=spread)
+
+
+def _find_farthest(scene: DiscScene) -> float:
+    """The largest shift of a fit from its start, px."""
+    return max(_max_shift(scene.look), 0.25 * float(np.hypot(*scene.blur)))
+
+
+def _minimise(scene: DiscScene, pixels: _EdgePixels, terms: Array, start: Array) -> _Minimum | None:
+    """Minimise the residuals by Gauss and Newton; None if the fit leads too far from its start."""
+    (x, y, light, level, doubt), look, blur = pixels, scene.look, scene.blur
     far = np.hypot(x - start[0], y - start[1])
     core = far < look.radius - 0.5 * EDGE_PX
     ball = quick_median(light[core] if core.any() else light[far <= quick_median(far)])
-    swept = list(blur) if long >= MIN_BLUR_PX else []
+    swept = list(blur) if float(np.hypot(*blur)) >= MIN_BLUR_PX else []
     now = np.array([*start, look.radius, 1.0, *swept, ball, *np.zeros(len(terms) - 1)])
     limit = np.array([0.5, 0.5, 0.5, 0.5, *np.ones(len(swept)), *np.full(len(terms), np.inf)])
-    farthest, tiny, turns = max(_max_shift(look), 0.25 * long), 1e-9 * np.eye(len(now)), 15
+    farthest, tiny, turns = _find_farthest(scene), 1e-9 * np.eye(len(now)), 15
     for turn in range(turns):
         cover, slopes = _model(x, y, level, now, terms)
         left = light - level - (now[-len(terms) :] @ terms - level) * cover
@@ -134,28 +180,28 @@ def _fit_from(scene: DiscScene, start: Array) -> DiscFit | None:
             break
         if math.hypot(now[0] - start[0], now[1] - start[1]) > farthest + math.sqrt(0.5) * (turns - 1 - turn):
             return None  # the turns left cannot bring it back
-    spread = float(np.sqrt((weight * left**2).sum() / max(weight.sum() - len(now), 1.0)))
-    away = float(np.hypot(*(now[:2] - start)))
-    inner = far <= max(look.radius, float(far.min()))
-    contrast = abs(quick_median((now[-len(terms) :] @ terms)[inner]) - quick_median(level))
-    if (
-        away > farthest
-        or np.hypot(0.25 * contrast, 1.2 * look.noise) <= spread  # residuals of a quarter of the contrast: no disc
-    ):
-        return None
-    inverse = np.linalg.inv(normal)
-    usual = min(look.noise**2, spread**2)
+    return _Minimum(now, cover, slopes, left, weight, normal)
+
+
+def _find_lasting_errors(
+    scene: DiscScene, pixels: _EdgePixels, found: _Minimum, inverse: Array, excess: float
+) -> Array:
+    """The part of the covariance (parameters, parameters) that is the same in every frame of a ball at rest.
+
+    inverse: of the normal matrix. excess: variance of the residuals beyond that of the noise, counts^2.
+    """
+    look, now = scene.look, found.now
+    doubtful = found.slopes * found.weight * pixels.doubt * (1 - found.cover)
     # errors of a ground that was never seen are common to cells of its texture
-    lever = _add_up(inverse @ (slopes * weight * doubt * (1 - cover)), _texture_cells(x, y, scene.ground))
-    fixed = inverse * (spread**2 - usual) + lever @ lever.T
-    if look.shaded:  # errors of the model are common to sectors of the outline
-        sectors = 16
-        sector = (np.arctan2(y - now[1], x - now[0]) // (2 * np.pi / sectors)).astype(int) + sectors
-        pulls = _add_up(inverse @ (slopes * weight * left), sector)
-        fixed = pulls @ pulls.T + lever @ lever.T
-        fixed[:2, :2] += (SHADED_POSITION_ERROR_RADII * look.radius) ** 2 * np.eye(2)
-    cov = inverse * usual + fixed
-    return DiscFit(position=now[:2], cov=cov[:2, :2], fixed=fixed[:2, :2], radius=float(now[2]), spread=spread)
+    lever = _add_up(inverse @ doubtful, _texture_cells(pixels.x, pixels.y, scene.ground))
+    if not look.shaded:
+        return np.asarray(inverse * excess + lever @ lever.T)
+    sectors = 16  # of the outline, to which errors of the model of a shaded ball are common
+    sector = (np.arctan2(pixels.y - now[1], pixels.x - now[0]) // (2 * np.pi / sectors)).astype(int) + sectors
+    pulls = _add_up(inverse @ (found.slopes * found.weight * found.left), sector)
+    fixed = pulls @ pulls.T + lever @ lever.T
+    fixed[:2, :2] += (SHADED_POSITION_ERROR_RADII * look.radius) ** 2 * np.eye(2)
+    return np.asarray(fixed)
 
 
 def _add_up(effects: Array, group: Ints) -> Array:
@@ -180,8 +226,8 @@ def _brightness_terms(dx: Array, dy: Array, look: DiscAppearance) -> Array:
     return np.stack([np.ones(len(u)), u, v, np.sqrt(np.maximum(1 - u * u - v * v, 0.0))])
 
 
-def _pixels(scene: DiscScene, start: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """x, y, count, ground and error of the ground, of the pixels near the outline."""
+def _pixels(scene: DiscScene, start: Array) -> _EdgePixels:
+    """The pixels near the outline of a disc about a position."""
     frame, ground, look, blur = scene.frame, scene.ground, scene.look, scene.blur
     radius = look.radius
     inwards = max(EDGE_PX, 0.3 * radius) if look.shaded else EDGE_PX
@@ -199,7 +245,7 @@ def _pixels(scene: DiscScene, start: Array) -> tuple[Array, Array, Array, Array,
     if look.shaded:
         share, change = _measure_ground_light(scene, start)(dx[used], dy[used])
         level, doubt = share * level, np.hypot(doubt, change * level)
-    return columns[used].astype(float), rows[used].astype(float), seen, level, doubt
+    return _EdgePixels(columns[used].astype(float), rows[used].astype(float), seen, level, doubt)
 
 
 def _measure_ground_light(scene: DiscScene, at: Array) -> Callable[[Array, Array], tuple[Array, Array]]:
