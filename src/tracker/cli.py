@@ -257,10 +257,10 @@ def gas(
 
     Example: tracker gas out/crowd_tracks -o out/gas
     """
+    from synthcam_shared.json_values import replace_non_finite
     from synthcam_shared.outputs import check_not_read
     from tracker.gas.gas_page import summarise_gas
     from tracker.gas.observe import observe_gas, parse_area
-    from tracker.results import replace_non_finite
 
     check_not_read(output, results)
     found = observe_gas(results, number=clip, area=parse_area(area))
@@ -539,9 +539,9 @@ def _report(outcome: ClipOutcome, output: Path, extra: dict[str, Any], as_json: 
 
 def _collision(row: Mapping[Any, Any]) -> dict[str, Any]:
     """A row of estimates as --json has it: the recommended quantities in SI units, null for what is not known."""
+    from synthcam_shared.json_values import replace_non_finite
     from tracker.measurement.collision.derived import QUANTITY_NAMES
     from tracker.measurement.local.recommendation import find_recommended_suffix
-    from tracker.results import replace_non_finite
 
     columns = {name: f"{name}{find_recommended_suffix(row)}" for name in QUANTITY_NAMES}
     pairs = {

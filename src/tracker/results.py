@@ -7,7 +7,6 @@ same bytes.
 from __future__ import annotations
 
 import json
-import math
 import os
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,13 +15,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.json_values import replace_non_finite
 from synthcam_shared.outputs import write_atomically
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
@@ -197,21 +196,6 @@ def _write_parquet(path: Path, table: pa.Table | pd.DataFrame) -> None:
     with BytesIO() as stream:
         pyarrow.parquet.write_table(table, stream)
         write_atomically(path, stream.getvalue())
-
-
-def replace_non_finite(value: Any) -> Any:
-    """Convert values to those that JSON in RESULTS can hold: None for what is not finite."""
-    if isinstance(value, Mapping):
-        return {str(k): replace_non_finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [replace_non_finite(v) for v in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value
 
 
 def read_clip(results: Path, number: int) -> tuple[Tracks, Camera]:

@@ -18,7 +18,7 @@ FILES = sorted(SRC.rglob("*.py"))
 # from one below. A file that stands in no row counts as its folder.
 LAYERS = {
     "synthcam_shared": [
-        "arrays errors interruption job_result lazy_names steps track_formats",
+        "arrays errors interruption job_result json_values lazy_names steps track_formats",
         "arguments outputs settings application start dask_cluster",
         "jobs",
         "report",

@@ -16,12 +16,13 @@ from discrepancy.outcome import SearchOutcome
 from discrepancy.report.figures import list_models
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.wording import describe_rejection
+from synthcam_shared.json_values import replace_non_finite
 
 
 def to_document(found: SearchOutcome) -> dict[str, Any]:
     """Return the contents of ``discrepancy.json``; docs/format.md describes the keys."""
     noise, law, changed = found.data.noise, found.law_summary, found.policy.changed()
-    document: dict[str, Any] = to_json_values(
+    document: dict[str, Any] = replace_non_finite(
         {
             "verdict": str(found.verdict),
             "models": list_models(found),
@@ -69,17 +70,6 @@ def _claim_document(claim: EffectClaim) -> dict[str, Any]:
         "naming_limit": claim.naming,
         "alike": [{"effects": list(names), "cosine": cosine} for names, cosine in claim.alike],
     }
-
-
-def to_json_values(value: Any) -> Any:
-    """Convert the values of `discrepancy.json` to those that JSON knows: no numpy, and None for NaN and infinity."""
-    if isinstance(value, dict):
-        return {k: to_json_values(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [to_json_values(v) for v in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value
 
 
 def tabulate_residuals(found: SearchOutcome) -> pd.DataFrame:

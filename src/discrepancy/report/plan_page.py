@@ -16,8 +16,8 @@ from discrepancy.planning.changes import ALL_LAUNCHES_CHANGED
 from discrepancy.planning.limits import StrengthLimits
 from discrepancy.planning.plan_result import PlanResult
 from discrepancy.policy import current_policy
-from discrepancy.report.document import to_json_values
 from discrepancy.report.figures import COLOURS, STYLE
+from synthcam_shared.json_values import replace_non_finite
 from synthcam_shared.report.page import Block, PageFigure, PageSection, PageTable, make_axes, write_page
 
 FILES = ("plan.json", "index.html")
@@ -29,7 +29,7 @@ def make_plan_document(found: PlanResult) -> dict[str, Any]:
         row | {"rivals": [dataclasses.asdict(r) for r in x.rivals[:3]]}
         for row, x in zip(found.rows(), (*found.detectable, *found.undetectable), strict=True)
     ]
-    whole: dict[str, Any] = to_json_values(
+    whole: dict[str, Any] = replace_non_finite(
         found.experiment()
         | {
             "sentence": found.sentence(),

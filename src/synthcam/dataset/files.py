@@ -22,6 +22,7 @@ from synthcam.dataset.recorded_dataset import list_clip_folders
 from synthcam.scene import ground_truth
 from synthcam.scene.clip import Clip, list_energy_columns, list_track_columns
 from synthcam_shared.errors import InputError
+from synthcam_shared.json_values import replace_non_finite
 
 Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
 SUMS = "SHA256SUMS"
@@ -182,16 +183,7 @@ def hash_file(path: Path) -> str:
 
 
 def _write_json(path: Path, value: Any) -> None:
-    path.write_text(json.dumps(_finite(value), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _finite(value: Any) -> Any:
-    """Replace NaN by None: JSON has no NaN."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    path.write_text(json.dumps(replace_non_finite(value), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from synthcam_shared.arrays import Ints
 from synthcam_shared.errors import InputError
+from synthcam_shared.json_values import replace_non_finite
 from synthcam_shared.report.numbers import NOT_KNOWN
 from tracker import results
 from tracker.camera.camera import Camera
@@ -129,7 +130,7 @@ def list_columns(tracks: Tracks, camera: Camera, metres: NDArray[Any]) -> list[d
     columns |= {f"{name}_off_um": (1e6 * metres[:, axis]).round(2) for axis, name in enumerate("xy")}
     columns["flags"] = tracks.flags
     return [
-        {"particle": int(number), **{key: results.replace_non_finite(v[own].tolist()) for key, v in columns.items()}}
+        {"particle": int(number), **{key: replace_non_finite(v[own].tolist()) for key, v in columns.items()}}
         for number in np.unique(tracks.particle)
         for own in [tracks.particle == number]
     ]

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.json_values import replace_non_finite
 from synthcam_shared.outputs import check_writable, write_atomically
 from synthcam_shared.settings import build_settings
 from tracker.app.film_view import FilmView
@@ -39,7 +40,7 @@ from tracker.camera.camera_json import read_source
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource, open_source
 from tracker.edits import EDITS, TrackEdits
-from tracker.results import clip_folder, replace_non_finite
+from tracker.results import clip_folder
 
 FILES_OF_RUNS = dict.fromkeys(("results", "set", "search", "made"), "") | {  # endings of the names, as results_1
     "command": ".txt", "edits": ".yaml", "camera": ".json", "calibrated": ".json", "points": ".csv", "model": ".yaml",

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from synthcam_shared.json_values import replace_non_finite
 from synthcam_shared.outputs import replace_folder, write_atomically
 from synthcam_shared.report.numbers import format_number, format_with_error
 from synthcam_shared.report.page import PageFigure, PageList, PageSection, PageTable, make_axes, write_page
 from tracker.gas.energy import SINKS
 from tracker.gas.gas import GasObservables, contact_pair_correlation
-from tracker.results import replace_non_finite
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,9 +12,10 @@ from scipy.optimize import linear_sum_assignment
 
 from synthcam_shared.arrays import Array
 from synthcam_shared.errors import InputError
+from synthcam_shared.json_values import replace_non_finite
 from synthcam_shared.report.page import PageSection, PageTable, write_page
 from tracker.notes import Note, NoteKind, make_notes
-from tracker.results import replace_non_finite, write_json
+from tracker.results import write_json
 from tracker.scoring.tracking_metrics import GATE_PX, TrackPoints, score_tracks
 from tracker.tables.content import FileContent
 from tracker.tables.read import recognise_format

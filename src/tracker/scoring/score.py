@@ -13,12 +13,13 @@ import pandas as pd
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import run_all_jobs, yield_in_order
+from synthcam_shared.json_values import replace_non_finite
 from synthcam_shared.report.numbers import format_number, format_with_error
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.quantities import QUANTITIES
-from tracker.results import replace_non_finite, write_json
+from tracker.results import write_json
 from tracker.scoring.error_bars import compute_true_parameters, quantity_bounds, score_quantities
 from tracker.scoring.localisation import MatchedDetections, PositionSums, find_required_rows, match, position_bounds
 from tracker.scoring.tracking_metrics import GATE_PX, TrackingCounts, TrackPoints

@@ -19,6 +19,7 @@ from pyarrow import ArrowException
 from synthcam_shared.arguments import check_arguments
 from synthcam_shared.arrays import Array, Flags
 from synthcam_shared.errors import InputError, first_line
+from synthcam_shared.json_values import replace_non_finite
 from synthcam_shared.report.numbers import format_with_error
 from synthcam_shared.settings import did_you_mean
 from tracker.measurement.camera_errors import shared_effects
@@ -28,7 +29,7 @@ from tracker.measurement.local.local_columns import calibrate_set
 from tracker.measurement.local.recommendation import SUFFIXES
 from tracker.measurement.messages import SAME_BODIES
 from tracker.recording import Result
-from tracker.results import RUN, clip_folder, load_json, replace_non_finite
+from tracker.results import RUN, clip_folder, load_json
 from tracker.sets.combined_quantity import (
     WITHOUT_COLLISION,
     CombinedQuantity,

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from synthcam_shared.json_values import replace_non_finite
 from tracker.benchmark.judging.crowds import judge_crowds
 from tracker.benchmark.judging.defects import measure_shifts_by_defects, simulate_at_bound
 from tracker.benchmark.judging.position_errors import compute_gap_curve, compute_phase_curve, match_positions
 from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.definition import Suite, SuitePart
-from tracker.results import make_estimates_table, replace_non_finite
+from tracker.results import make_estimates_table
 from tracker.scoring.error_bars import score_quantities
 from tracker.scoring.score import drop_unclaimed, join_truth
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pandas as pd
 
+from synthcam_shared.json_values import replace_non_finite
 from tracker import results
 from tracker.benchmark.suite.definition import SuitePart
 from tracker.recording import Result
@@ -64,4 +65,4 @@ def take_clip(found: Mapping[tuple[str, int], Result], film: str, clip: int) -> 
     if (film, clip) not in found:
         return NO_TRACKS, []
     result = found[film, clip]
-    return result.tracks, [results.replace_non_finite(row) for row in result.rows]
+    return result.tracks, [replace_non_finite(row) for row in result.rows]
