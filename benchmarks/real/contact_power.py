@@ -5,7 +5,7 @@ make bench-contact-power CLONES=CLONE
 
 CLONE is a clone of github.com/erdo100/3cushiontool. The first table compares laws of the friction on its contacts, by
 the likelihood and on contacts kept out, with and without an unseen spin of the strikers. For each law it has the size
-of a hop over the predicted one. `benchmarks.real.contact_laws` explains the fits.
+of a hop over the predicted one. `benchmarks.real.contact_laws` explains the fits. Then comes what the search names.
 
 Then each hit is simulated by known laws: the same launches, impact parameters and frames, and the scatter and errors
 that docs/real_tracks.md gives. The tracker measures these hits, and the search chooses the laws of their contacts, as
@@ -19,7 +19,7 @@ import argparse
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,13 +30,12 @@ import numpy as np
 
 from benchmarks.harness import ROOT, keep, save
 from benchmarks.real.contact_laws import (
-    CHANGING,
-    COULOMB,
     LAWS,
-    FrictionFit,
     HopFit,
+    fit_friction,
     fit_loss_beside_masses,
     predict_held_out,
+    predict_vertical,
 )
 from benchmarks.real.hits import measure_hit
 from benchmarks.real.recordings import RecordedHit, read_billiards
@@ -50,6 +49,9 @@ from benchmarks.real.simulated_hits import (
 )
 from discrepancy.data.contacts import Contacts
 from discrepancy.select.contact_effects import select_contact_laws
+from discrepancy.select.unseen_spin import COULOMB, FALLING
+from discrepancy.wording import describe_contacts
+from synthcam.model import Model
 from synthcam_shared.arrays import Array
 from synthcam_shared.report.numbers import format_with_error
 from tracker.measurement.local.local_columns import calibrate_set
@@ -97,13 +99,12 @@ def judge_set(drawn: Mapping[str, Any]) -> dict[str, Any]:
     contacts = Contacts(**{name: np.array(values) for name, values in drawn["contacts"].items()})
     out: dict[str, Any] = {"bias": drawn["bias"], "contacts": len(contacts)}
     for claim in select_contact_laws(contacts):
-        out[claim.quantity] = {"law": claim.law, "causes": claim.causes, "rivals": claim.rivals}
-        out[claim.quantity] |= {"sigma": claim.sigma, "left_out_sigma": claim.left_out_sigma}
+        out[claim.quantity] = asdict(claim)
     known = select_with_friction(contacts)
-    fits = {law.name: FrictionFit.of(law, known, True) for law in LAWS[1:]}
+    fits = {law.name: fit_friction(law, known, True) for law in LAWS[1:]}
     out["costs"] = {name: fit.cost for name, fit in fits.items()}
-    out["held-out gain of a change"] = predict_held_out(COULOMB, known, True) - predict_held_out(CHANGING, known, True)
-    vertical = fits[COULOMB.name].predict_vertical(known)
+    out["held-out gain of a change"] = predict_held_out(COULOMB, known, True) - predict_held_out(FALLING, known, True)
+    vertical = predict_vertical(fits[COULOMB.name], known)
     for kind, shared in (("hop", False), ("hop with shared errors", True)):
         out[kind] = vars(HopFit.of(known, vertical, shared=shared))
     return out
@@ -113,12 +114,12 @@ def compare_laws(contacts: Contacts) -> Iterator[dict[str, Any]]:
     """Compare all laws of the friction, without and with an unseen spin, each without and with a hop."""
     for law in LAWS:
         for spins in (False, True) if law.name != "none" else (False,):
-            fit = FrictionFit.of(law, contacts, spins)
+            fit = fit_friction(law, contacts, spins)
             line: dict[str, Any] = {"law": law.name, "spins": spins, "cost": fit.cost}
             line |= {"held_out": predict_held_out(law, contacts, spins), "numbers": fit.numbers.tolist()}
             line |= {"scatter": fit.scatter, "width": fit.width}
             if law.name != "none":
-                vertical = fit.predict_vertical(contacts)
+                vertical = predict_vertical(fit, contacts)
                 line["hop"] = vars(HopFit.of(contacts, vertical, shared=False))
                 line["hop with shared errors"] = vars(HopFit.of(contacts, vertical, shared=True))
             yield line
@@ -127,7 +128,7 @@ def compare_laws(contacts: Contacts) -> Iterator[dict[str, Any]]:
 def show_law(line: Mapping[str, Any]) -> str:
     """A law of the friction as a line of the table."""
     numbers = ", ".join(f"{number:.3f}" for number in line["numbers"])
-    text = f"{line['law']:34}{'spin' if line['spins'] else '':6}{line['cost']:8.1f}{line['held_out']:8.1f}"
+    text = f"{line['law']:49}{'spin' if line['spins'] else '':6}{line['cost']:8.1f}{line['held_out']:8.1f}"
     text += f"  numbers {numbers or '-'}, scatter {line['scatter']:.3f}, spin {line['width']:.2f}"
     if "hop" in line:
         hop, shared = line["hop"], line["hop with shared errors"]
@@ -146,6 +147,7 @@ def summarise_draws(judged: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {
         "draws": len(judged),
         "friction": dict(Counter(one["friction"]["law"] for one in judged)),
+        "causes of the friction": dict(Counter(" or ".join(one["friction"]["causes"]) for one in judged)),
         "a fall is a cause": sum("falling ball_friction" in one["friction"]["causes"] for one in judged),
         "hop is a cause": sum("hop" in one["recoil"]["causes"] for one in judged),
         "friction sigma": _show_spread(np.array([one["friction"]["sigma"] for one in judged])),
@@ -186,6 +188,8 @@ def main() -> None:
     for line in compare_laws(select_with_friction(contacts)):
         out["laws"].append(line)
         print(show_law(line), flush=True)
+    out["named"] = [asdict(claim) for claim in select_contact_laws(contacts)]
+    print("named:", *describe_contacts(select_contact_laws(contacts), Model()), sep="\n  ")
     balls = np.array([hits[clip].balls for clip in contacts.clip])
     loss = fit_loss_beside_masses(contacts, balls)
     out["loss beside masses"] = [loss.coefficients.tolist(), loss.std.tolist()]

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.real.contact_laws import LAWS, FrictionFit, HopFit, fit_loss_beside_masses
+from benchmarks.real.contact_laws import LAWS, HopFit, fit_friction, fit_loss_beside_masses, predict_vertical
 from benchmarks.real.recordings import FRAME_S, RecordedHit, _order_by_start
 from benchmarks.real.simulated_hits import (
     GRAVITY,
@@ -146,7 +146,7 @@ def draw_contacts(width, mu=lambda slip: 0.08, loss=0.0, count=150, seed=1):
 
 def test_an_unseen_spin_scatters_the_friction_and_is_found():
     contacts = draw_contacts(0.7)
-    with_spin, without = (FrictionFit.of(LAW["Coulomb"], contacts, spins) for spins in (True, False))
+    with_spin, without = (fit_friction(LAW["Coulomb friction"], contacts, spins) for spins in (True, False))
     assert with_spin.numbers[0] == pytest.approx(0.08, abs=0.01)
     assert with_spin.width == pytest.approx(0.7, abs=0.15)
     assert without.scatter > 0.03 > 0.012 > with_spin.scatter
@@ -156,7 +156,8 @@ def test_an_unseen_spin_scatters_the_friction_and_is_found():
 def test_a_friction_that_falls_is_distinguished_if_the_contacts_show_it():
     contacts = draw_contacts(0.5, lambda slip: 0.08 - 0.04 * np.log(slip / 2.5))
     fall, constant = (
-        FrictionFit.of(LAW[name], contacts, True) for name in ("Coulomb that changes with ln(slip)", "Coulomb")
+        fit_friction(LAW[name], contacts, True)
+        for name in ("Coulomb friction that falls with the slip speed", "Coulomb friction")
     )
     assert constant.cost - fall.cost > 25
     assert fall.numbers[1] == pytest.approx(0.04, abs=0.015)
@@ -165,7 +166,7 @@ def test_a_friction_that_falls_is_distinguished_if_the_contacts_show_it():
 @pytest.mark.parametrize("loss", [0.0, 2.0])
 def test_the_loss_of_a_hop_is_found_beside_the_friction(loss):
     contacts = draw_contacts(0.5, loss=loss)
-    vertical = FrictionFit.of(LAW["Coulomb"], contacts, True).predict_vertical(contacts)
+    vertical = predict_vertical(fit_friction(LAW["Coulomb friction"], contacts, True), contacts)
     found = HopFit.of(contacts, vertical, shared=False)
     assert found.size == pytest.approx(loss, abs=3 * found.std)
     assert (found.gain > 16) == (loss > 0)

@@ -37,7 +37,7 @@ from discrepancy.data.contacts import Contacts
 from discrepancy.policy import current_policy
 from discrepancy.select.contact_regression import ODD_ERROR, Regression, find_gain_sigma
 from discrepancy.select.impact_laws import LAWS, LAWS_WITH_SPIN, ContactLaw, SpinLaw, list_laws
-from discrepancy.select.unseen_spin import COULOMB, FrictionFit, predict_left_out
+from discrepancy.select.unseen_spin import FrictionFit, predict_left_out
 from synthcam_shared.arrays import Array, Ints
 from tracker.measurement.random_effects import fit_random_effects
 
@@ -66,7 +66,7 @@ class ContactClaim:
     contacts: their number; a group of contacts that follow one another too fast counts as one.
     rivals: laws that are not worse by `SearchPolicy.rival_excluded_chi2`.
     odd: how many contacts of a crowd count with a wide error.
-    excluded: laws that could be named if the contacts did not exclude them, and that the law does not contain.
+    excluded: laws of other causes that are worse by that, and that the search would name without the better ones.
     """
 
     quantity: str
@@ -154,7 +154,8 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
         and one.cost < min((cost_of[name] for name in one.contains), default=np.inf)
     ]
     near = [one for one in others if one.cost < limit]
-    far = [one for one in others if one.usable and one.cost >= limit and one.name not in best.contains]
+    causes = dict.fromkeys(cause for one in (best, *near) for cause in one.causes)
+    far = [one for one in others if one.usable and one.cost >= limit and not causes.keys() >= set(one.causes)]
     named = best is not tried[0]
     (mean,) = _fit_numbers(
         getattr(contacts, quantity),
@@ -166,7 +167,7 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
     return ContactClaim(
         quantity=quantity,
         law=best.name,
-        causes=tuple(dict.fromkeys(cause for one in (best, *near) for cause in one.causes)) if named else (),
+        causes=tuple(causes) if named else (),
         numbers=best.measure(),
         contacts=round(float(contacts.share.sum())),
         scatter=best.scatter,
@@ -233,7 +234,7 @@ def _number_recordings(contacts: Contacts, least: int) -> Ints:
 def _fit_laws_with_spin(
     contacts: Contacts, laws: Sequence[ContactLaw], plain: Sequence[_Candidate], least: int
 ) -> list[_Candidate]:
-    """Fit laws of the friction with an unseen spin, if Coulomb friction gains the price of the spin by it."""
+    """Fit laws of the friction with an unseen spin of the striker."""
     policy, errors = current_policy(), contacts.split_errors("friction")
     cost_of = {one.name: one.cost for one in plain}
     compare = _compare_left_out((*laws, *LAWS_WITH_SPIN), contacts, _number_recordings(contacts, least))
@@ -241,8 +242,6 @@ def _fit_laws_with_spin(
     for law in LAWS_WITH_SPIN:
         fit = FrictionFit.of(law.friction, contacts, errors, spins=True)
         cost = fit.cost + policy.min_noise_gain * len(fit.std)
-        if not out and cost >= cost_of[COULOMB.name]:
-            break
         sigma = float(np.sqrt(max(plain[0].cost - fit.cost, 0.0)))
         matters = sigma > policy.min_claim_sigma and cost < min(cost_of.values()) + policy.rival_excluded_chi2
         others = dict.fromkeys((*cost_of, *law.contains))  # the simplest law first

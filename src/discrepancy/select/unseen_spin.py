@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 from discrepancy.data.contacts import Contacts
 from synthcam_shared.arrays import Array, Ints
 
-SPINS = np.linspace(-4.0, 4.0, 121)  # in widths; so dense that they resolve a friction with a small error
+SPINS = np.linspace(-4.0, 4.0, 81)  # in widths; so dense that they resolve a friction with a small error
 STARTING_WIDTHS = (0.25, 0.7)  # R w over the speed
 FOLDS = 4  # parts of the recordings, of which one at a time is left out
 MAX_WIDTH = 3.0  # strikes of a cue give up to about 1.5
@@ -47,7 +47,7 @@ def find_sticking_friction(contacts: Contacts, slip: Array) -> Array:
 
 def _fall_with_slip(contacts: Contacts, slip: Array, numbers: Array) -> Array:
     mu = numbers[0] - numbers[1] * np.log(slip / np.median(contacts.slip))
-    return np.clip(mu, 0.0, find_sticking_friction(contacts, slip))
+    return np.asarray(np.clip(mu, 0.0, find_sticking_friction(contacts, slip)))
 
 
 COULOMB = FrictionLaw(
