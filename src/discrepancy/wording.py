@@ -369,6 +369,7 @@ def _describe_contact_claim(claim: ContactClaim) -> str:
         return f"{first}; {scatter}. {none[claim.quantity]}."
     numbers = ", ".join(f"{n.name} {_with_error(n)}{'' if n.unit == '1' else f' {n.unit}'}" for n in claim.numbers)
     others = f" These fit nearly as well: {'; '.join(claim.rivals)}." if claim.rivals else ""
+    others += f" Excluded: {'; '.join(claim.excluded)}." if claim.excluded else ""
     return (
         f"{first}. The law that fits best: {claim.law} ({numbers}; {claim.sigma:.1f} sigma); {scatter}.{others} "
         f"They show {' or '.join(claim.causes)}.{_advise_measurement(claim.causes)}"

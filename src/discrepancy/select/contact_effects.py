@@ -66,7 +66,7 @@ class ContactClaim:
     contacts: their number; a group of contacts that follow one another too fast counts as one.
     rivals: laws that are not worse by `SearchPolicy.rival_excluded_chi2`.
     odd: how many contacts of a crowd count with a wide error.
-    excluded: laws of other causes that are worse by that, and that the search would name without the better ones.
+    excluded: laws of other causes that are worse by that, and that could be named alone. The law does not contain them.
     """
 
     quantity: str
@@ -155,7 +155,8 @@ def _choose_law(quantity: str, contacts: Contacts, laws: Sequence[ContactLaw], l
     ]
     near = [one for one in others if one.cost < limit]
     causes = dict.fromkeys(cause for one in (best, *near) for cause in one.causes)
-    far = [one for one in others if one.usable and one.cost >= limit and not causes.keys() >= set(one.causes)]
+    rest = [one for one in others if one.usable and one not in near and one.name not in best.contains]
+    far = [one for one in rest if not causes.keys() >= set(one.causes)]
     named = best is not tried[0]
     (mean,) = _fit_numbers(
         getattr(contacts, quantity),
@@ -243,9 +244,11 @@ def _fit_laws_with_spin(
         fit = FrictionFit.of(law.friction, contacts, errors, spins=True)
         cost = fit.cost + policy.min_noise_gain * len(fit.std)
         sigma = float(np.sqrt(max(plain[0].cost - fit.cost, 0.0)))
-        matters = sigma > policy.min_claim_sigma and cost < min(cost_of.values()) + policy.rival_excluded_chi2
-        others = dict.fromkeys((*cost_of, *law.contains))  # the simplest law first
-        gains = [compare(law.name, other) for other in others] if matters and law.has_sign(fit) else [0.0]
+        pays = cost < min(cost_of[name] for name in law.contains)
+        others = dict.fromkeys([*(one.name for one in plain), *law.contains])  # the simplest law first
+        matters = pays and sigma > policy.min_claim_sigma and law.has_sign(fit)
+        gains = [compare(law.name, other) for other in others] if matters else [0.0]
+        cost_of[law.name] = cost
         one = _Candidate(
             name=law.name,
             causes=law.causes,
