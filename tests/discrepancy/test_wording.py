@@ -128,6 +128,13 @@ def test_causes_that_contacts_cannot_distinguish_come_with_a_measurement():
     assert "fit nearly as well: ball a is heavier by a share" in text
 
 
+def test_laws_that_contacts_exclude_are_listed():
+    claim = dataclasses.replace(RECOIL, excluded=("ball 1 is heavier by a share", "ball 2 is heavier by a share"))
+    text, _ = describe_contacts([claim], Model())
+    assert "Excluded: ball 1 is heavier by a share; ball 2 is heavier by a share." in text
+    assert "Excluded" not in describe_contacts([RECOIL], Model())[0]
+
+
 def test_a_cause_that_the_model_has_is_not_called_missing():
     shares = dataclasses.replace(RECOIL, quantity="friction", causes=("spin_transfer", "ball_friction"))
     without = Model().replace({"spin_transfer": 0.0})

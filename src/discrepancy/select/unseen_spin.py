@@ -90,7 +90,8 @@ class FrictionFit:
         errors: the standard errors (n,) of each friction alone, and the effects (n, k) of errors that contacts share.
         spins: whether strikers may have an unseen spin.
         """
-        size, basis = float(np.sqrt(np.mean(contacts.friction**2))), _find_basis(*errors)
+        size = float(np.sqrt(np.mean(contacts.friction**2 + errors[0] ** 2)))
+        basis = _find_basis(*errors)
         count, common = len(law.starts(size)[0]), basis.shape[1]
 
         def read(x: Array, cost: float = np.nan) -> FrictionFit:
