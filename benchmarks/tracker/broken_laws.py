@@ -7,9 +7,13 @@ balls, frame rate and noise are drawn for each. A slide lasts 4 to 20 frames. Ea
 tables; `several` are three of the others, and `none` is the control. Half of the tables claim the errors of their
 positions.
 
-The table gives for each cause how often each estimate is recommended. For r, v0 and energy_fraction it gives, by
-estimate, the number of values with an error, the shares with |z| over 3 and over 4.5, the rms of z (each |z| at most
-5), and the median error. z is the deviation over the standard error.
+The table gives for each cause how often each estimate is recommended. By estimate it then gives, for r, v0 and
+energy_fraction:
+
+- the number of values with an error;
+- the shares with |z| over 3 and over 4.5, where z is the deviation over the standard error;
+- the rms of z, each |z| at most 5;
+- the median error.
 """
 
 from __future__ import annotations
