@@ -235,7 +235,12 @@ def _number_recordings(contacts: Contacts, least: int) -> Ints:
 def _fit_laws_with_spin(
     contacts: Contacts, laws: Sequence[ContactLaw], plain: Sequence[_Candidate], least: int
 ) -> list[_Candidate]:
-    """Fit laws of the friction with an unseen spin of the striker."""
+    """Fit laws of the friction with an unseen spin of the striker.
+
+    A law without a spin must pay its price. Else any scatter that has a limit could pass for friction beside a spin.
+    """
+    if min(one.cost for one in plain[1:]) >= plain[0].cost:
+        return []
     policy, errors = current_policy(), contacts.split_errors("friction")
     cost_of = {one.name: one.cost for one in plain}
     compare = _compare_left_out((*laws, *LAWS_WITH_SPIN), contacts, _number_recordings(contacts, least))
