@@ -251,6 +251,7 @@ def describe_rejection(test: ClaimTest, unit: EvidenceUnit = EvidenceUnit.COLLIS
             f"{test.from_zero:.2g} sigma from zero"
         )
     return {
+        Rejection.SIZE_UNKNOWN: "uncertain: its size agrees with zero within its error",
         Rejection.NOT_SIGNIFICANT: "not significant beside everything else",
         Rejection.REPLACED: "another effect that fits as well passes the tests",
         Rejection.ABSORBED: "everything else explains as much without it",

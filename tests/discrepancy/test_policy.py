@@ -362,13 +362,22 @@ def test_an_effect_without_which_all_else_explains_as_much_leaves_nothing_missin
 
 
 def claim_alone(
-    monkeypatch, end=None, from_zero=9.0, is_stretch=False, level=4.2, beside=None, strength=None, aliases=("hop",)
+    monkeypatch,
+    end=None,
+    from_zero=9.0,
+    is_stretch=False,
+    level=4.2,
+    beside=None,
+    strength=None,
+    aliases=("hop",),
+    by_noise=9.0,
 ):
     """The test of an effect, of which everything else passes; beside: its sigma, beside another effect of 30 sigma."""
     limits = {"shape_at_limit": lambda: end, "strength_at_limit": lambda: strength}
     claims = [Made(sigma=sigma, aliases=aliases, values={}, **limits) for sigma in (beside or 30, 30)]
     claims, names = (claims, ("hop", "bounce")) if beside else (claims[:1], ("hop",))
-    monkeypatch.setattr(claim_tests.Jackknife, "of", lambda *_: Made(distance_from_zero=lambda values: from_zero))
+    distances = {"distance_from_zero": lambda _: from_zero, "distance_from_zero_by_noise": lambda _: by_noise}
+    monkeypatch.setattr(claim_tests.Jackknife, "of", lambda *_: Made(**distances))
     monkeypatch.setattr(claim_tests, "describe_claims", lambda *_: claims)
     monkeypatch.setattr(claim_tests, "make_selection", lambda *_: Made(best=None))
     monkeypatch.setattr(claim_tests, "compare_models", lambda *_: (PASSING, PASSING))
@@ -409,6 +418,15 @@ def test_a_weaker_effect_of_stretches_at_an_end_of_its_range_is_not_claimed(monk
     test = claim_alone(monkeypatch, is_stretch=True, beside=5.0, **at_end)
     assert (test.rejection, test.shape_at_limit) == (Rejection.SHAPE_AT_LIMIT, ("hop.bounce", 1.0))
     assert claim_alone(monkeypatch, is_stretch=True, beside=60.0, **at_end).rejection is None
+
+
+def test_a_weaker_effect_of_stretches_whose_size_agrees_with_zero_by_its_own_error_is_not_claimed(monkeypatch):
+    """Such as one of 7 sigma by chi^2 with a size of -0.007(19), with which one ball slips at ten times its speed."""
+    of_stretches = {"is_stretch": True, "from_zero": np.inf}
+    for by_noise, expected in ((0.4, Rejection.SIZE_UNKNOWN), (4.0, None)):
+        assert claim_alone(monkeypatch, beside=5.0, by_noise=by_noise, **of_stretches).rejection is expected
+    assert claim_alone(monkeypatch, beside=60.0, by_noise=0.4, **of_stretches).rejection is None
+    assert claim_alone(monkeypatch, beside=5.0, by_noise=0.4).rejection is None
 
 
 def test_no_alias_takes_the_place_of_a_weaker_effect_that_scatters(monkeypatch):

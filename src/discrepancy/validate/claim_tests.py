@@ -49,6 +49,7 @@ class Rejection(Enum):
     SHAPE_AT_LIMIT = auto()  # a shape parameter is at the end of its range
     VARIES = auto()  # its strength changes between collisions
     AGREES_WITH_ZERO = auto()  # its size agrees with zero by the scatter of the collisions, which exceeds their errors
+    SIZE_UNKNOWN = auto()  # its size agrees with zero by its own error, although the fit is worse without it
 
     @property
     def leaves_nothing_missing(self) -> bool:
@@ -220,21 +221,35 @@ class Jackknife:
         scatter therefore counts only if noise makes it so large with a probability below `least_p`. The ratio of T^2 by
         noise to that by scatter has a chi^2 distribution (Mardia, Kent & Bibby, Multivariate Analysis (1979), 3.4.7).
         """
-        rows = [k for k, name in enumerate(self.names) if name in strengths and self.covariance[k, k] > 0]
-        if not rows or len(rows) >= self.clips:
+        rows, t2, t2_by_noise = self._square_distances(strengths)
+        if not rows or rows >= self.clips:
             return math.inf
+        freedom = self.clips - rows
+        if t2 > 0 and chdtrc(freedom, (self.clips - 1) * t2_by_noise / t2) > least_p:
+            return math.inf
+        p = float(fdtrc(rows, freedom, t2 * freedom / (rows * (self.clips - 1))))
+        return -float(ndtri(p / 2)) if p > 0 else math.inf
+
+    def distance_from_zero_by_noise(self, strengths: Mapping[str, float]) -> float:
+        """The sigma by which the strengths of an effect, by name, differ jointly from zero by the noise alone.
+
+        It is inf if no strength has an error. A claim has its sigma from chi^2 without the effect, which is larger if
+        the tracks hold the effect only where one launch makes up for it.
+        """
+        rows, _, t2_by_noise = self._square_distances(strengths)
+        return chi2_to_sigma(t2_by_noise, rows) if rows else math.inf
+
+    def _square_distances(self, strengths: Mapping[str, float]) -> tuple[int, float, float]:
+        """How many of the strengths have an error; their joint squared distance from zero by scatter and by noise."""
+        rows = [k for k, name in enumerate(self.names) if name in strengths and self.covariance[k, k] > 0]
         own = np.ix_(rows, rows)
         size = np.sqrt(np.diag(self.covariance)[rows])  # strengths may have different units
         values = np.array([strengths[self.names[k]] for k in rows]) / size
-        t2, t2_by_noise = (
+        by_scatter, by_noise = (
             float(values @ np.linalg.pinv(matrix[own] / np.outer(size, size), hermitian=True) @ values)
             for matrix in (self.covariance, self.by_noise)
         )
-        freedom = self.clips - len(rows)
-        if t2 > 0 and chdtrc(freedom, (self.clips - 1) * t2_by_noise / t2) > least_p:
-            return math.inf
-        p = float(fdtrc(len(rows), freedom, t2 * freedom / (len(rows) * (self.clips - 1))))
-        return -float(ndtri(p / 2)) if p > 0 else math.inf
+        return len(rows), by_scatter, by_noise
 
 
 def leave_one_out_with_law(fitted_law: FittedLaw) -> list[Array]:
@@ -470,7 +485,8 @@ def _test_effects(
     A weaker effect of free stretches, beside a stronger one, is the best of all candidates in what the stronger one
     leaves. So its size must differ from zero by the level that is corrected for them, also by the scatter of the
     stretches. If it does not, no alias takes its place: that would be one more choice from the same evidence. A
-    strength at an end of its range has no error, so it is not claimed either.
+    strength at an end of its range has no error, so it is not claimed either. Neither is a size that its own error does
+    not distinguish from zero: such an effect lets one launch become extreme, and only that lowers chi^2.
     """
     tests, without, claims = [], dict[str, Selection](), describe_claims(library, selection.state)
     is_cut = any(clip.is_stretch for clip in library.evidence.clips)
@@ -487,6 +503,8 @@ def _test_effects(
         rejection, variation = judge_claim(claim, predictions, level, from_zero, least_from_zero=least), None
         if is_weaker and not rejection and (at_limit := claim.strength_at_limit()):
             rejection = Rejection.SHAPE_AT_LIMIT
+        elif is_weaker and not rejection and _is_unknown(jackknife, claim):
+            rejection = Rejection.SIZE_UNKNOWN
         elif rejection and rejection is not Rejection.NOT_SIGNIFICANT:
             is_scattered = is_weaker and rejection is Rejection.AGREES_WITH_ZERO
             for alias in claim.aliases[1:] if not is_scattered else ():
@@ -501,6 +519,13 @@ def _test_effects(
         test = ClaimTest(candidate.name, claim.sigma, *predictions, rejection, from_zero=from_zero)
         tests.append(replace(test, shape_at_limit=at_limit, variation=variation))
     return tests, without, claims
+
+
+def _is_unknown(jackknife: Jackknife | None, claim: EffectClaim) -> bool:
+    """Tell if the size of a claim agrees with zero by its own error."""
+    return jackknife is not None and (
+        jackknife.distance_from_zero_by_noise(claim.values) < current_policy().leave_one_out_sigma
+    )
 
 
 def _test_beside_law(selection: Selection, library: LibraryFits, held_out: HeldOutClips, level: float) -> Tested:

@@ -100,6 +100,9 @@ def test_two_strengths_differ_from_zero_jointly():
     assert jackknife.distance_from_zero({"a": 0.5, "b": 0.5}) > 8
     assert jackknife.distance_from_zero({"a": 0.5, "b": -0.5}) < 0.3
     assert jackknife.distance_from_zero({"fixed": 1.0}) == np.inf
+    assert jackknife.distance_from_zero_by_noise({"a": 0.5, "b": 0.5}) > 16  # errors are half as large
+    assert jackknife.distance_from_zero_by_noise({"a": 1.0025**0.5}) == pytest.approx(2)
+    assert jackknife.distance_from_zero_by_noise({"fixed": 1.0}) == np.inf
     units = np.array([1e9, 1.0, 1.0])
     other = dataclasses.replace(jackknife, **{name: getattr(jackknife, name) * np.outer(units, units) for name in BOTH})
     assert other.distance_from_zero({"a": 0.5e9, "b": -0.5}) == pytest.approx(
