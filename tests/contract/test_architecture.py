@@ -127,7 +127,7 @@ LAYERS = {
         "least_squares derived",
         "contacts adequacy",
         "noise_correlation striker departures",
-        "collision_fit",
+        "collision_fit untested_laws",
     ],
     "tracker.benchmark": [
         "suite",

@@ -79,6 +79,7 @@ from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, show
 from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.collision.noise_correlation import variance_of_residuals
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, StayingPair, find_staying_pairs
+from tracker.measurement.collision.untested_laws import add_errors_of_untested_laws
 from tracker.measurement.crowd.crowd_rows import estimate_contacts, shows_gliding
 from tracker.measurement.crowd.track_contacts import find_track_contacts
 from tracker.measurement.joint_fit import fit_all_jointly
@@ -293,6 +294,7 @@ def _measure_collision(
     row |= make_local_columns(local, camera.mass_ratio is not None, foreign, settings)
     if isinstance(read, str):
         return row | {"status": read}, unknown
+    read = _count_untested_laws(read, camera)
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
     row |= {"adequate": read.p_tied, "adequate_free": read.p_free, "agree": read.p_agree}
     row |= {"model_rejected": read.is_model_rejected}
@@ -413,6 +415,15 @@ def _find_departures(
         by_tied |= {} if one is None else {flag: one}
         by_free |= {} if other is None else {flag: other}
     return by_tied, by_free
+
+
+def _count_untested_laws(read: CollisionFits, camera: Camera) -> CollisionFits:
+    """Let the errors of an accepted tied fit of an instant impact contain what laws that nothing tests may change."""
+    if read.is_misfit or read.fits is not None:
+        return read
+    errors = camera_errors(camera)
+    known = differentiate_residuals(read.tied, errors, camera) if errors else None
+    return replace(read, tied_values=add_errors_of_untested_laws(read.tied, read.tied_values, known))
 
 
 def _may_last(read: CollisionFits, nearer: float) -> bool:
