@@ -139,6 +139,11 @@ class FitSettings(Settings):
     Eight collisions of a hundred are expected to have such a friction. With 0 it counts as constant, unless the tracks
     reject that."""
 
+    broken_law: Fraction = 0.5
+    """Probability, before the tracks, that a law of the tied fit is broken that few positions do not test.
+    The errors of the tied fit contain what such a break would change, unless the tracks confirm the laws. With 0 the
+    laws count as true."""
+
     slide_end_chi2: Positive = 25.0
     """Rise of chi^2 without the end of a slide from which on the tracks show that end: five standard errors."""
 

@@ -4,11 +4,11 @@ Positions far from the contact, or with small errors, show a broken law: chi^2 o
 (`departures`), rejects it. A few positions with large errors do not. The tied fit is then still as precise as its laws
 allow, and nothing shows that they hold.
 
-So the errors contain what a broken law would change. Before, it is as likely as not that one of the laws of
-`list_broken_laws` is broken, and all are equally likely. A break has a normal prior about zero, whose standard
-deviation is its typical size. The tracks then give the posterior of each break (Bayesian model averaging, as in
-`departures`), and with it the mean square of what it adds to each quantity. No value is shifted, because such data
-cannot tell which law is broken.
+So the errors contain what a broken law would change. The setting `broken_law` is the probability, before the tracks,
+that one of the laws of `list_broken_laws` is broken, and all are equally likely. A break has a normal prior about zero,
+whose standard deviation is its typical size. The tracks then give the posterior of each break (Bayesian model
+averaging, as in `departures`), and with it the mean square of what it adds to each quantity. No value is shifted,
+because such data cannot tell which law is broken.
 """
 
 from __future__ import annotations
@@ -45,27 +45,28 @@ def add_errors_of_untested_laws(fit: CollisionFit, values: DerivedValues, known:
     known: as for `find_departure`.
     """
     broken = find_broken_laws(fit, known)
-    holds, squares = weigh_broken_laws(broken)
+    holds, squares = weigh_broken_laws(broken, fit.pair.settings.broken_law)
     if holds >= MAX_CONFIRMED:
         return values
     effects = np.column_stack([one.effect for one in broken.values()])
     return replace(values, cov=values.cov + (effects * squares) @ effects.T)
 
 
-def weigh_broken_laws(broken: dict[str, LawDeparture]) -> tuple[float, Array]:
+def weigh_broken_laws(broken: dict[str, LawDeparture], expected: float) -> tuple[float, Array]:
     """Find the probability that no law is broken, and the mean square (k,) of each break.
 
-    At most one is broken. A break counts with the probability of its law to be broken.
+    At most one is broken, before the tracks with the probability `expected`. A break counts with the probability of its
+    law to be broken.
     """
-    if not broken:
-        return 1.0, np.zeros(0)
+    if not broken or not expected:
+        return 1.0, np.zeros(len(broken))
     value, std, typical = (
         np.array([getattr(one, name) for one in broken.values()]) for name in ("value", "std", "typical")
     )
     wide = std**2 + typical**2
     log_evidence = (np.log(std**2 / wide) + value**2 * (1 / std**2 - 1 / wide)) / 2
-    logs = np.append(0.0, log_evidence - np.log(len(broken)))
-    weights = np.exp(logs - logs.max())
+    logs = np.append(0.0, log_evidence)
+    weights = np.append(1 - expected, np.full(len(broken), expected / len(broken))) * np.exp(logs - logs.max())
     weights /= weights.sum()
     mean, variance = value * typical**2 / wide, typical**2 * std**2 / wide
     return float(weights[0]), weights[1:] * (mean**2 + variance)
