@@ -21,6 +21,7 @@ from discrepancy.outcome import SearchOutcome, Verdict
 from discrepancy.policy import applied_policy, current_policy
 from discrepancy.select.contact_effects import ContactClaim, ContactNumber
 from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.select.impact_laws import SPIN_NUMBER
 from discrepancy.select.library_search import InterruptedSearch
 from discrepancy.validate.claim_tests import ClaimTest, Rejection
 from discrepancy.validate.gap import Gap
@@ -371,6 +372,10 @@ def _describe_contact_claim(claim: ContactClaim) -> str:
     numbers = ", ".join(f"{n.name} {_with_error(n)}{'' if n.unit == '1' else f' {n.unit}'}" for n in claim.numbers)
     others = f" These fit nearly as well: {'; '.join(claim.rivals)}." if claim.rivals else ""
     others += f" Excluded: {'; '.join(claim.excluded)}." if claim.excluded else ""
+    if any(number.name == SPIN_NUMBER for number in claim.numbers):
+        others += (
+            " w is a spin about the vertical. Strikers count as rolling; those that slide make the friction too large."
+        )
     return (
         f"{first}. The law that fits best: {claim.law} ({numbers}; {claim.sigma:.1f} sigma); {scatter}.{others} "
         f"They show {' or '.join(claim.causes)}.{_advise_measurement(claim.causes)}"

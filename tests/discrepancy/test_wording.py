@@ -10,6 +10,7 @@ from discrepancy.fitting.stretch_moves import StretchScatter
 from discrepancy.outcome import Verdict
 from discrepancy.select.contact_effects import ContactClaim, ContactNumber
 from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.select.impact_laws import SPIN_NUMBER
 from discrepancy.validate.claim_tests import ClaimTest, HeldOutTest, Rejection, StrengthVariation
 from discrepancy.validate.residual_map import Disagreement
 from discrepancy.wording import (
@@ -35,6 +36,19 @@ RECOIL = ContactClaim(
     rivals=("ball a is heavier by a share",),
     mean=ContactNumber("mean recoil", 0.02, 0.004, "1"),
 )
+
+
+def test_friction_beside_an_unseen_spin_says_that_strikers_count_as_rolling():
+    numbers = (ContactNumber("mu", 0.0844, 0.0057, "1"), ContactNumber(SPIN_NUMBER, 0.77, 0.15, "1"))
+    claim = dataclasses.replace(
+        RECOIL, quantity="friction", law="Coulomb friction", numbers=numbers, causes=("ball_friction",)
+    )
+    (with_spin, _), (without, _) = (
+        describe_contacts([each], Model()) for each in (claim, dataclasses.replace(claim, numbers=numbers[:1]))
+    )
+    assert "(mu 0.0844 +- 0.0057, rms of R w over the speed 0.77 +- 0.15; 5.0 sigma)" in with_spin
+    assert "Strikers count as rolling" in with_spin
+    assert "Strikers count as rolling" not in without
 
 
 @pytest.mark.parametrize(

@@ -249,7 +249,8 @@ LAWS: dict[str, tuple[ContactLaw, ...]] = {
 }
 
 
-_OF_SPIN = ("rms spin about the vertical, times R over the speed", "1")
+SPIN_NUMBER = "rms of R w over the speed"  # w: the unseen spin, about the vertical
+_OF_SPIN = (SPIN_NUMBER, "1")
 LAWS_WITH_SPIN = (
     SpinLaw(COULOMB, (("mu", "1"), _OF_SPIN), ("ball_friction",), (COULOMB.name,)),
     SpinLaw(
