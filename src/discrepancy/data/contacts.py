@@ -19,7 +19,7 @@ from synthcam_shared.arrays import Array, Flags, Ints
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.camera_errors import remove_shared, shared_effects
-from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER, USUAL_BIAS
+from tracker.measurement.collision.adequacy import CROWD, GLIDE, MISFIT, TOGETHER, USUAL_BIAS, find_gliding_hits
 from tracker.measurement.local.recommendation import NONE, recommend
 from tracker.recording import Result
 from tracker.results import read_clip
@@ -76,10 +76,12 @@ class Contacts:
 
         slips: of films of a crowd, by clip and number of the collision.
 
-        Rows without a usable local estimate are left out, such as those whose momentum is not conserved.
+        Rows without a usable local estimate are left out, such as those whose momentum is not conserved. If the bodies
+        of a set do not glide (`find_gliding_hits`), those of each hit roll, also if gliding describes its paths better.
         """
         every = [row for row in rows if _is_usable(row)]
-        read = [_read_row(row, (stated or {}).get(int(row["clip"]), 1.0)) for row in every]
+        gliding = bool(find_gliding_hits(every))
+        read = [_read_row(row, (stated or {}).get(int(row["clip"]), 1.0), gliding) for row in every]
         for one, row in zip(read, every, strict=True):
             if row["status"] == CROWD:
                 one |= _read_slip(row, (slips or {}).get(int(row["clip"]), {}), one["friction_std"])
@@ -202,14 +204,15 @@ def _differentiate_quantities(row: Mapping[Any, Any]) -> Array:
     return np.nan_to_num(out)
 
 
-def _read_row(row: Mapping[Any, Any], stated: float) -> dict[str, Any]:
+def _read_row(row: Mapping[Any, Any], stated: float, gliding: bool) -> dict[str, Any]:
+    """Read a contact; gliding: whether the bodies of recordings of two may glide."""
     values = _read_values(row)
     (v0, _), (b, b_std), (r, r_std), (s, s_std), (ratio, ratio_std) = values.values()
     told = 1 / stated if row["striker"] == "a" else stated
     turn, turn_std = _find_turn(row)
     speed_n, speed_t = v0 * np.sqrt(max(1 - b * b, 0.0)), v0 * abs(b)
     by_b, by_r, by_s = _differentiate_quantities(row)[1, 1:4]
-    glides = row.get("motion_local") == "glide"
+    glides = row.get("motion_local") == GLIDE and (gliding or row["status"] == CROWD)
     return {
         "clip": int(row["clip"]),
         "bodies": (-1, -1),

@@ -23,7 +23,15 @@ def test_quantities_of_an_impact():
     assert both.speed_t == pytest.approx(0.6)
     assert both.friction == pytest.approx(0.1333 / 0.8, rel=1e-3)
     assert both.recoil == pytest.approx(np.log([2.1 / 2, 2.1 / 0.5]))
-    assert both.glides.all()
+
+
+@pytest.mark.parametrize("gliding", [2, 4])
+def test_two_hits_of_twelve_that_seem_to_glide_roll_as_the_others_do(gliding):
+    """A rolling striker's surface moves down with the speed of approach, 0.8 m/s."""
+    rolling = ROW | {"motion_local": "slide and roll"}
+    some = Contacts.of([ROW] * gliding + [rolling] * (12 - gliding))
+    assert some.glides.sum() == (0 if gliding == 2 else 4)
+    assert some.slip_down[0] == pytest.approx(0.8 if gliding == 2 else 0.0)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.2])
