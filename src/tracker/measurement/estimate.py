@@ -55,6 +55,7 @@ from tracker.measurement.collision.adequacy import (
 from tracker.measurement.collision.collision_fit import (
     AFTER_SLIDES,
     CollisionFits,
+    HiddenSlide,
     fit_collision,
     fit_lasting_collision,
     name_quantities_of_slide,
@@ -286,14 +287,14 @@ def _measure_collision(
     if contact.reason:
         return row, unknown
     read, flags = _fit(contact, candidate, earlier, camera, settings)
-    lasting = None if isinstance(read, str) else read.lasting
+    lasting = None if isinstance(read, str) else read if isinstance(read, HiddenSlide) else read.lasting
     seen = contact if lasting is None else replace(contact, first=lasting.first, last=lasting.last)
     masses = _find_masses(contact, camera, letters)
-    foreign = _why_foreign(masses, camera, () if isinstance(read, str) else read.flags)
+    foreign = _why_foreign(masses, camera, read.flags if isinstance(read, CollisionFits) else ())
     local = _estimate_locally(seen, masses, camera)
     row |= make_local_columns(local, camera.mass_ratio is not None, foreign, settings)
-    if isinstance(read, str):
-        return row | {"status": read}, unknown
+    if not isinstance(read, CollisionFits):
+        return row | {"status": HIDDEN_SLIDE if isinstance(read, HiddenSlide) else read}, unknown
     read = _count_untested_laws(read, camera)
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
     row |= {"adequate": read.p_tied, "adequate_free": read.p_free, "agree": read.p_agree}
@@ -353,7 +354,7 @@ def _fit(
     earlier: dict[int, EarlierHit],
     camera: Camera,
     settings: FitSettings,
-) -> tuple[CollisionFits | str, list[Flag]]:
+) -> tuple[CollisionFits | HiddenSlide | str, list[Flag]]:
     """The fits of a collision with the camera's errors, or why there are none; flags of the contact's distance.
 
     A contact that lasts is tried first if balls are clearly within a diameter in some frames, and otherwise if an
@@ -362,12 +363,12 @@ def _fit(
     min_frames_within = 3  # frames with the balls clearly within a diameter
     doubtful_sigma = 3.0  # least significance of a contact that lasts, where an instantaneous one is doubtful
     tries = partial(fit_lasting_collision, candidate, camera.ball_diameter, earlier, settings)
-    lasting: CollisionFits | str | None = None
+    lasting: CollisionFits | HiddenSlide | str | None = None
     if is_wide := count_contact_frames(candidate, camera.ball_diameter) >= min_frames_within:
         lasting = tries()
         if isinstance(lasting, CollisionFits) and lasting.lasting is not None:
             return add_camera_errors_to_lasting(lasting, camera), []
-        if lasting == HIDDEN_SLIDE:
+        if isinstance(lasting, HiddenSlide):
             return lasting, []
     read, flags, nearer, duration = fit_collision(contact), list[Flag](), np.nan, np.nan
     if not isinstance(read, str):
@@ -386,7 +387,7 @@ def _fit(
         lasting = tries(doubtful_sigma if isinstance(read, str) or read.is_misfit else MIN_SIGNIFICANCE)
         if isinstance(lasting, CollisionFits):
             return add_camera_errors_to_lasting(lasting, camera), []
-        if isinstance(lasting, str) and (is_wide or lasting != TOO_FEW):
+        if isinstance(lasting, HiddenSlide) or (isinstance(lasting, str) and (is_wide or lasting != TOO_FEW)):
             return lasting, []
         is_long = nearer > doubtful_sigma and duration > float(np.median(np.diff(contact.pair.striker.start)))
         if (

@@ -10,7 +10,6 @@ import numpy as np
 
 from synthcam_shared.arrays import Array
 from tracker.measurement.collision.adequacy import (
-    HIDDEN_SLIDE,
     SHORT_SLIDE,
     Flag,
     compute_p_of_rise,
@@ -252,13 +251,21 @@ def _bound_chi2_of_sliding(pair: BallPair, start: Array) -> tuple[float, int]:
     return free.chi2, free.dof + len(FREE) - len(TIED)
 
 
+@dataclass(frozen=True)
+class HiddenSlide:
+    """A contact that lasts as long as the balls may slide, from frame `first` to `last`: it hides how they part."""
+
+    first: int
+    last: int
+
+
 def fit_lasting_collision(
     candidate: ContactCandidate,
     diameter: float,
     earlier: Mapping[int, EarlierHit],
     settings: FitSettings,
     least_sigma: float = MIN_SIGNIFICANCE,
-) -> CollisionFits | str | None:
+) -> CollisionFits | HiddenSlide | str | None:
     """Fit one collision that lasts, or that balls leave in straight lines, as `fit_lasting_contact` does.
 
     Quantities that are measured once both balls roll are unseen if the tracks do not show the ends of the slides. All
@@ -268,7 +275,7 @@ def fit_lasting_collision(
     if fits is None or isinstance(fits, str):
         return fits
     if fits.hides_slide:
-        return HIDDEN_SLIDE if fits.contact is not None else SHORT_SLIDE
+        return SHORT_SLIDE if fits.contact is None else HiddenSlide(fits.contact.first, fits.contact.last)
     tied, free = as_collision_fits(fits)
     is_straight = fits.free is fits.tied
     unseen = set(AFTER_SLIDES if is_straight else ())

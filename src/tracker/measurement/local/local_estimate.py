@@ -11,6 +11,7 @@ import numpy as np
 
 from synthcam_shared.arrays import Array
 from tracker.camera.camera import Camera
+from tracker.camera.camera_json import BODIES
 from tracker.measurement.camera_errors import CameraError, WarpError, camera_errors
 from tracker.measurement.collision.adequacy import compute_p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, GRAVITY
@@ -59,6 +60,7 @@ SIMPLE_AFTER = {  # motions of a body after a contact by its support, by which t
     "air": (SLIDE,),
     "sliding": (SLIDE_AND_STOP,),
 }
+WHEN_BOTH_ROLL = ("v1f", "v2f", "energy_fraction", "momentum_fraction", "final_angle")  # the balls, after their slides
 UNSEEN_ON_AIR = ("mu_k", "C", "w1n", "w1t", "w2n", "w2t", "tau1", "tau2")  # where bodies glide
 LOCAL_NAMES = (*QUANTITY_NAMES, *VELOCITIES, "impact_energy", *BALANCE, "mass_ratio")
 
@@ -354,7 +356,7 @@ def _read_values(
         dof=claimed.dof,
         adequate=compute_p_value(claimed.chi2, claimed.dof, noise_dof),
         glides=solutions[0][1].problem.glide,
-        unseen=frozenset(name for _, one in solutions for name in _list_unseen(one)),
+        unseen=frozenset(name for _, one in solutions for name in _list_unseen(one, camera)),
         errors_known=bool(np.isinf(noise_dof)),
         shared={error.key: (error.value, effect) for error, effect in shared},
         cov_of_known=cov_of_known,
@@ -452,17 +454,21 @@ def _camera_shifts(solution: LocalSolution, camera: Camera) -> Iterator[Array]:
             yield error.share * (rate if error.key == "fps" else scale)
 
 
-def _list_unseen(solution: LocalSolution) -> list[str]:
-    """Quantities that the stretches do not show."""
+def _list_unseen(solution: LocalSolution, camera: Camera) -> list[str]:
+    """Quantities that the stretches do not show.
+
+    Bodies that seem to glide may be balls that slide all along, and roll after the last position. Only the camera file
+    can exclude that.
+    """
     problem, out = solution.problem, ["drag", "decel"]
-    after_slides = ("energy_fraction", "momentum_fraction", "final_angle")
     if problem.glide:
-        return [*out, *UNSEEN_ON_AIR]
+        never_rolls = camera.glides or camera.body != BODIES["ball"]
+        return [*out, *UNSEEN_ON_AIR, *(() if never_rolls else WHEN_BOTH_ROLL)]
     for k, (stretch, motion) in enumerate(zip(problem.stretches, problem.motions, strict=True)):
         if stretch.after and motion.ends:
             ball = stretch.ball
             if not shows_end(solution, k):
-                out += [f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "C", *after_slides]
+                out += [f"tau{ball}", f"v{ball}f", f"w{ball}n", f"w{ball}t", "C", *WHEN_BOTH_ROLL[2:]]
         elif not stretch.after and motion.pushed:
             out += ["C", "w1n", "w1t", "w2n", "w2t"]
     return out
