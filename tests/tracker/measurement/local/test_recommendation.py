@@ -5,11 +5,21 @@ import math
 
 import pytest
 
+from tracker.measurement.local.local_estimate import LOCAL_NAMES
 from tracker.measurement.local.recommendation import find_recommended_suffix, recommend
 
 KNOWN = {"v0": (0.5, 0.001), "b": (0.1, 0.001), "r": (0.9, 0.01), "s": (math.nan, math.nan)}
 # of a set whose balances of momentum show that r is known to .02 only
 SET = {"local_hits": 20, "local_error_n": 0.01, "r_local_std": 0.02, "local_json": json.dumps({"r_std": 0.001})}
+
+
+def make_balances(along, across):
+    """The balances along n and t with errors of 0.01 by the residuals, as JSON of a local estimate."""
+    value, std = [0.0] * len(LOCAL_NAMES), [0.01] * len(LOCAL_NAMES)
+    value[LOCAL_NAMES.index("balance_n")], value[LOCAL_NAMES.index("balance_t")] = along, across
+    return json.dumps({"value": value, "std": std})
+
+
 REASON = '{"reason":"too few positions near the contact"}'
 
 
@@ -32,6 +42,9 @@ def make_row(status, tied=True, free=True, local=True, local_json="{}", **change
         (make_row("ok", r=math.nan, r_std=math.nan), "free", "does not show r"),
         (make_row("misfit", r_std=math.nan), "free", "the free fit agrees"),
         (make_row("misfit", r_std=math.nan, r_free=0.7), "local", "the tracks reject the tied fit"),
+        (make_row("misfit", r_std=math.nan, local_json=make_balances(0.02, -0.02)), "free", "the free fit agrees"),
+        (make_row("misfit", r_std=math.nan, local_json=make_balances(-0.05, 0.0)), "local", "momentum changes by 5.0"),
+        (make_row("misfit", r_std=math.nan, local_json=make_balances(0.0, 0.04)), "local", "momentum changes by 4.0"),
         (make_row("misfit", free=False), "local", "the tracks reject the tied fit"),
         (
             make_row("misfit", free=False, model_rejected=False, flags="r over 1"),
