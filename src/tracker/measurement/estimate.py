@@ -76,7 +76,7 @@ from tracker.measurement.collision.contacts import (
 from tracker.measurement.collision.departures import LawDeparture, compare_losses, find_slope_of_friction
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.collision.hidden_duration import measure_hidden_duration
-from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, shows_friction
+from tracker.measurement.collision.lasting_contact import MIN_SIGNIFICANCE, LastingContact, shows_friction
 from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.collision.noise_correlation import variance_of_residuals
 from tracker.measurement.collision.staying_together import MAX_DISTANCE, StayingPair, find_staying_pairs
@@ -287,7 +287,10 @@ def _measure_collision(
     if contact.reason:
         return row, unknown
     read, flags = _fit(contact, candidate, earlier, camera, settings)
-    lasting = None if isinstance(read, str) else read if isinstance(read, HiddenSlide) else read.lasting
+    rolls = not camera.glides and camera.body == BODIES["ball"]
+    lasting: LastingContact | HiddenSlide | None = read.lasting if isinstance(read, CollisionFits) else None
+    if isinstance(read, HiddenSlide) and rolls:
+        lasting = read
     seen = contact if lasting is None else replace(contact, first=lasting.first, last=lasting.last)
     masses = _find_masses(contact, camera, letters)
     foreign = _why_foreign(masses, camera, read.flags if isinstance(read, CollisionFits) else ())

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from tracker.measurement.collision.adequacy import CROWD, MISFIT, TOGETHER, list_disproving_values
+from tracker.measurement.collision.adequacy import CROWD, HIDDEN_SLIDE, MISFIT, TOGETHER, list_disproving_values
 from tracker.measurement.local.local_estimate import BALANCE, LOCAL_NAMES
 
 TIED, FREE, LOCAL, NONE = "tied", "free", "local", "none"
@@ -69,6 +69,8 @@ def _is_usable(row: Mapping[str, Any]) -> tuple[bool, str]:
     max_mass_ratio, max_imbalance = 50.0, 5.0  # the latter of momentum, in standard errors that a set shows
     if not is_known(row, "r_local"):
         return False, str(json.loads(row["local"]).get("reason", "its errors are too large"))
+    if row["status"] == HIDDEN_SLIDE and not json.loads(row["local"]).get("foreign", ""):
+        return False, "the balls may have slid while they were in contact"
     r, std = row["r_local"], row["r_local_std"]
     if not -3 * std <= r <= 1 + 3 * std:
         return False, f"its r of {r:.2f} is impossible"

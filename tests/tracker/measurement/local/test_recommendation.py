@@ -5,6 +5,7 @@ import math
 
 import pytest
 
+from tracker.measurement.collision.adequacy import HIDDEN_SLIDE
 from tracker.measurement.local.local_estimate import LOCAL_NAMES
 from tracker.measurement.local.recommendation import find_recommended_suffix, recommend
 
@@ -65,6 +66,8 @@ def make_row(status, tied=True, free=True, local=True, local_json="{}", **change
             "local",
             "equal masses",
         ),
+        (make_row(HIDDEN_SLIDE, False, False), "none", "the balls may have slid while they were in contact"),
+        (make_row(HIDDEN_SLIDE, False, False, local_json='{"foreign":"discs"}'), "local", "hides how they part"),
         (make_row("ok", **SET), "local", "the set shows errors of velocities"),
         (make_row("ok", **SET | {"local_error_n": 0.001, "local_factor": 1.5}), "tied", "agrees"),
         (make_row("ok", **SET | {"local_error_n": 0.001, "local_factor": 2.5}), "local", "the set shows errors"),
