@@ -113,13 +113,14 @@ LAYERS = {
         "estimate",
     ],
     "tracker.measurement.local": [
-        "stretches recommendation",
+        "stretches",
         "local_problem",
         "lasting_errors",
         "descents",
         "local_fit",
         "push_fit",
         "local_estimate",
+        "recommendation",
         "local_columns",
     ],
     "tracker.measurement.collision": [
