@@ -169,8 +169,8 @@ def test_noise_that_lasts_is_counted(own, monkeypatch):
     assert dishonest(table) == []
     monkeypatch.setattr(collision_fit, "with_correlated_noise", lambda pair, free: None)
     monkeypatch.setattr(collision_fit, "list_alternative_strikers", lambda meeting, rolling: iter(()))
-    equal_losses = FitSettings(rolling_loss_difference=0.0)  # noise that is not counted looks like losses that differ
-    assert len(dishonest(claiming(own, NOISE, NOISE, rho=0.9, settings=equal_losses))) == len(SHOWN)
+    true_laws = FitSettings(rolling_loss_difference=0.0, broken_law=0.0)  # noise that is not counted looks like others
+    assert len(dishonest(claiming(own, NOISE, NOISE, rho=0.9, settings=true_laws))) == len(SHOWN)
 
 
 def test_noise_is_read_where_the_impact_has_no_part(hopping, monkeypatch):
