@@ -378,7 +378,7 @@ def _describe_contact_claim(claim: ContactClaim) -> str:
         )
     return (
         f"{first}. The law that fits best: {claim.law} ({numbers}; {claim.sigma:.1f} sigma); {scatter}.{others} "
-        f"They show {' or '.join(claim.causes)}.{_advise_measurement(claim.causes)}"
+        f"The contacts show {' or '.join(claim.causes)}.{_advise_measurement(claim.causes)}"
     )
 
 

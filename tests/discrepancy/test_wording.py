@@ -138,7 +138,7 @@ def test_the_verdict_on_stretches_is_not_that_on_contacts():
 def test_causes_that_contacts_cannot_distinguish_come_with_a_measurement():
     text, _ = describe_contacts([RECOIL], Model())
     assert "+2 +- 0.4 % more mass" in text
-    assert "They show mass_mismatch or hop. Weigh the bodies" in text
+    assert "The contacts show mass_mismatch or hop. Weigh the bodies" in text
     assert "fit nearly as well: ball a is heavier by a share" in text
 
 
