@@ -120,7 +120,7 @@ def _residual_figures(found: SearchOutcome) -> tuple[Figure, Figure]:
         _mark_stages(ax, name, found.data.is_cut)
     row[0].set(ylabel="rms residual in x and y (µm)", ylim=(0, None))
     means.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    sizes.legend(*row[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    sizes.legend(*row[0].get_legend_handles_labels(), loc="outside upper center", ncols=1 + len(shown))
     return means, sizes
 
 

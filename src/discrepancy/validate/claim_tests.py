@@ -233,8 +233,8 @@ class Jackknife:
     def distance_from_zero_by_noise(self, strengths: Mapping[str, float]) -> float:
         """The sigma by which the strengths of an effect, by name, differ jointly from zero by the noise alone.
 
-        It is inf if no strength has an error. A claim has its sigma from chi^2 without the effect, which is larger if
-        the tracks hold the effect only where one launch makes up for it.
+        It is inf if no strength has an error. It may be far less than the sigma of the claim, which follows from the
+        rise of chi^2 without the effect: the effect may let one launch become extreme, and only that lowers chi^2.
         """
         rows, _, t2_by_noise = self._square_distances(strengths)
         return chi2_to_sigma(t2_by_noise, rows) if rows else math.inf
